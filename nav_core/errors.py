@@ -1,0 +1,57 @@
+"""The errors that `nav_core` raises; each carries the numbers that explain it.
+
+::
+
+    NavigationError
+    ├── ShapeError          an array has the wrong shape
+    ├── NotFiniteError      a value is NaN or infinite where a number is needed
+    ├── OrderError          times do not increase
+    ├── RangeError          a value lies outside what has a meaning
+    └── TooLittleDataError  fewer samples than the method needs
+"""
+
+from __future__ import annotations
+
+
+class NavigationError(ValueError):
+    """Base of all errors raised by `nav_core`."""
+
+
+class ShapeError(NavigationError):
+    """An array has the wrong shape."""
+
+    def __init__(self, name: str, shape: tuple[int, ...], expected: str) -> None:
+        self.name, self.shape, self.expected = name, shape, expected
+        super().__init__(f"{name} has shape {shape}, expected {expected}")
+
+
+class NotFiniteError(NavigationError):
+    """A value is NaN or infinite where a number is needed."""
+
+    def __init__(self, name: str, index: int) -> None:
+        self.name, self.index = name, index
+        super().__init__(f"{name} is not finite at index {index}")
+
+
+class OrderError(NavigationError):
+    """Times do not increase strictly."""
+
+    def __init__(self, name: str, index: int) -> None:
+        self.name, self.index = name, index
+        super().__init__(f"{name} does not increase at index {index}")
+
+
+class RangeError(NavigationError):
+    """A value lies outside the range in which it has a meaning."""
+
+    def __init__(self, name: str, value: float, expected: str) -> None:
+        self.name, self.value, self.expected = name, value, expected
+        super().__init__(f"{name} is {value:g}, expected {expected}")
+
+
+class TooLittleDataError(NavigationError):
+    """Fewer samples than the method needs."""
+
+    def __init__(self, name: str, count: int, needed: int) -> None:
+        self.name, self.count, self.needed = name, count, needed
+        super().__init__(f"{name}: {count} samples, at least {needed} needed")

@@ -1,0 +1,27 @@
+"""Array types, and the one typed door to the compiler."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import ParamSpec, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+Flags = NDArray[np.bool_]
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+def kernel(function: Callable[P, R]) -> Callable[P, R]:
+    """Compile a numerical kernel at its first call; the machine code is cached on disk.
+
+    Numba is imported here and not above, so that a process that only needs the records
+    (the API) never loads it.
+    """
+    from numba import njit
+
+    return njit(cache=True, error_model="numpy")(function)  # pyright: ignore[reportReturnType]  keeps the signature

@@ -1,0 +1,32 @@
+"""The tables, one file per aggregate; importing this package maps them all."""
+
+from server.models.access import SignInCode, ViewTicket, WebSession
+from server.models.base import Base, new_id
+from server.models.batch import Batch, BatchDigest
+from server.models.change import Change
+from server.models.device import Boot, Device, DeviceState
+from server.models.installation import Installation, MountingRevision
+from server.models.organisation import Organisation
+from server.models.trip import TrackPoint, Trip
+from server.models.vehicle import Assignment, Vehicle
+
+__all__ = [
+    "Assignment",
+    "Base",
+    "Batch",
+    "BatchDigest",
+    "Boot",
+    "Change",
+    "Device",
+    "DeviceState",
+    "Installation",
+    "MountingRevision",
+    "Organisation",
+    "SignInCode",
+    "TrackPoint",
+    "Trip",
+    "Vehicle",
+    "ViewTicket",
+    "WebSession",
+    "new_id",
+]

@@ -1,0 +1,61 @@
+from __future__ import annotations
+
+import datetime as dt
+from typing import Any
+
+from sqlalchemy import BigInteger, CheckConstraint, ForeignKey, Index, LargeBinary, String, UniqueConstraint, text
+from sqlalchemy.orm import Mapped, mapped_column
+
+from server.models.base import Base, id_column
+
+STREAMS = ("continuous", "burst")
+
+
+class Batch(Base):
+    """An accepted upload: where its blob lies, both hashes, its link in the chain, and whether it was worked off."""
+
+    __tablename__ = "batch"
+    __table_args__ = (
+        UniqueConstraint("device_id", "stream", "boot", "sequence"),
+        UniqueConstraint("device_id", "chain_index"),
+        CheckConstraint(f"stream IN {STREAMS}", name="stream"),
+        # The worker's question "what is due?" must not read what is done.
+        Index(
+            "ix_batch_due",
+            "device_id",
+            postgresql_where=text("processed_at IS NULL"),
+            sqlite_where=text("processed_at IS NULL"),
+        ),
+        Index("ix_batch_device_id_received_at", "device_id", "received_at"),
+    )
+
+    id: Mapped[str] = id_column()
+    organisation_id: Mapped[str] = mapped_column(ForeignKey("organisation.id"))
+    device_id: Mapped[str] = mapped_column(ForeignKey("device.id"))
+    stream: Mapped[str] = mapped_column(String(10))
+    boot: Mapped[str] = mapped_column(String(64))
+    sequence: Mapped[int] = mapped_column(BigInteger)
+    media_type: Mapped[str] = mapped_column(String(100))
+    body_sha256: Mapped[str] = mapped_column(String(64))
+    column_sha256: Mapped[str] = mapped_column(String(64))
+    blob_key: Mapped[str] = mapped_column(String(300))
+    body_key: Mapped[str | None] = mapped_column(String(300))
+    stored_bytes: Mapped[int]
+    rows: Mapped[int]
+    t_first_s: Mapped[float]
+    t_last_s: Mapped[float]
+    received_at: Mapped[dt.datetime]
+    chain_index: Mapped[int]
+    chain_sha256: Mapped[str] = mapped_column(String(64))
+    remarks: Mapped[list[Any]] = mapped_column(default=list)
+    processed_at: Mapped[dt.datetime | None]
+    failure: Mapped[str | None] = mapped_column(String(500))
+
+
+class BatchDigest(Base):
+    """The conditioned content of a batch: what re-estimation needs, a few per cent of the raw size."""
+
+    __tablename__ = "batch_digest"
+
+    batch_id: Mapped[str] = mapped_column(ForeignKey("batch.id", ondelete="CASCADE"), primary_key=True)
+    content: Mapped[bytes] = mapped_column(LargeBinary)
