@@ -1,0 +1,223 @@
+"""The thesis' multiplicative extended Kalman filter over a whole recording, compiled (001 ch. 4).
+
+Every step predicts from fix to fix (4.14-4.17, 4.37-4.51), updates with the seven measurements of
+4.62 one after the other, and moves the reference quaternions (4.29, 4.30).  `thesis_reference` says the
+same in matrices.
+
+Measurements one by one, linearised once at the prediction, give exactly the joint update of 4.20-4.22
+because their noise is independent (4.71); nothing is inverted.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from nav_core.mounting.thesis_model import GRAVITY, THESIS_PERIOD, Errata, Steps, Tuning
+from nav_core.typing import Flags, Floats, kernel
+
+N_STATES = 9
+N_MEASUREMENTS = 7
+
+
+@kernel
+def rotation_of(q: Floats, R: Floats) -> None:
+    """Write the matrix of a unit quaternion (x, y, z, w) into `R` (001 eq. C.3)."""
+    x, y, z, w = q[0], q[1], q[2], q[3]
+    R[0, 0] = w * w + x * x - y * y - z * z
+    R[0, 1] = 2.0 * (x * y - z * w)
+    R[0, 2] = 2.0 * (y * w + z * x)
+    R[1, 0] = 2.0 * (z * w + x * y)
+    R[1, 1] = w * w - x * x + y * y - z * z
+    R[1, 2] = 2.0 * (y * z - x * w)
+    R[2, 0] = 2.0 * (x * z - y * w)
+    R[2, 1] = 2.0 * (x * w + y * z)
+    R[2, 2] = w * w - x * x - y * y + z * z
+
+
+@kernel
+def small_rotation(a: Floats, v: Floats, out: Floats, J: Floats) -> None:
+    """Write ``R(dq(a)) v`` into `out` and its derivative with respect to `a` into `J` (001 eq. 4.26).
+
+    With ``s = 4 / (4 + |a|²)`` the rotation is ``v + s (a x v + a x (a x v) / 2)``; its transpose is that of ``-a``.
+    """
+    n = a[0] * a[0] + a[1] * a[1] + a[2] * a[2]
+    s = 4.0 / (4.0 + n)
+    dot = a[0] * v[0] + a[1] * v[1] + a[2] * v[2]
+    half = 0.5 * s
+    J[0, 0], J[0, 1], J[0, 2] = 0.0, v[2], -v[1]
+    J[1, 0], J[1, 1], J[1, 2] = -v[2], 0.0, v[0]
+    J[2, 0], J[2, 1], J[2, 2] = v[1], -v[0], 0.0
+    for i in range(3):
+        cross = J[i, 0] * a[0] + J[i, 1] * a[1] + J[i, 2] * a[2]
+        turned = cross + 0.5 * (a[i] * dot - v[i] * n)
+        out[i] = v[i] + s * turned
+        for j in range(3):
+            J[i, j] = s * J[i, j] + half * (a[i] * v[j] - 2.0 * v[i] * a[j] - s * turned * a[j])
+        J[i, i] += half * dot
+
+
+@kernel
+def turn_reference(a: Floats, q: Floats) -> None:
+    """Replace the reference `q` by ``dq(a) q`` (001 eqs. 4.26, 4.29, 4.30)."""
+    x = a[0] * q[3] + 2.0 * q[0] + a[1] * q[2] - a[2] * q[1]
+    y = a[1] * q[3] + 2.0 * q[1] + a[2] * q[0] - a[0] * q[2]
+    z = a[2] * q[3] + 2.0 * q[2] + a[0] * q[1] - a[1] * q[0]
+    w = 2.0 * q[3] - a[0] * q[0] - a[1] * q[1] - a[2] * q[2]
+    norm = np.sqrt(x * x + y * y + z * z + w * w)
+    q[0], q[1], q[2], q[3] = x / norm, y / norm, z / norm, w / norm
+
+
+@kernel
+def transport(a: Floats, first: int, P: Floats) -> None:
+    """Carry three states of `P` over to the reference moved by `a`: ``M = s (I + [a]x / 2)``.
+
+    `M` is the derivative at ``a`` of the Rodrigues vector of ``dq(.) dq(a)^-1``.
+    """
+    s = 4.0 / (4.0 + a[0] * a[0] + a[1] * a[1] + a[2] * a[2])
+    h0, h1, h2 = 0.5 * a[0], 0.5 * a[1], 0.5 * a[2]
+    i, j, k = first, first + 1, first + 2
+    for c in range(N_STATES):
+        x, y, z = P[i, c], P[j, c], P[k, c]
+        P[i, c] = s * (x - h2 * y + h1 * z)
+        P[j, c] = s * (h2 * x + y - h0 * z)
+        P[k, c] = s * (-h1 * x + h0 * y + z)
+    for c in range(N_STATES):
+        x, y, z = P[c, i], P[c, j], P[c, k]
+        P[c, i] = s * (x - h2 * y + h1 * z)
+        P[c, j] = s * (h2 * x + y - h0 * z)
+        P[c, k] = s * (-h1 * x + h0 * y + z)
+
+
+@kernel
+def process_noise(P: Floats, v_x: float, omega: float, T: float, tuning: Tuning, errata: Errata) -> None:
+    """Add ``G(x) Q_w G(x)'`` of 001 eqs. 4.63-4.70 to `P`."""
+    P[0, 0] += tuning.acceleration * T * T * T / 3.0
+    P[0, 1] += tuning.acceleration * T * T / 2.0
+    P[1, 0] += tuning.acceleration * T * T / 2.0
+    P[1, 1] += tuning.acceleration * T
+    speed, attitude, mounting = abs(v_x), abs(omega), abs(omega)
+    if errata.floor:
+        speed = max(speed, tuning.floor_speed)
+        attitude = max(attitude, tuning.floor_attitude)
+        mounting = max(mounting, tuning.floor_mounting)
+    share = T / THESIS_PERIOD
+    P[2, 2] += share * tuning.turn * speed * speed
+    for i in range(3):
+        P[3 + i, 3 + i] += share * tuning.attitude * attitude * attitude
+        P[6 + i, 6 + i] += share * tuning.mounting * mounting * mounting
+
+
+@kernel
+def predict(x: Floats, P: Floats, T: float, tuning: Tuning, errata: Errata) -> None:
+    """Predict state and covariance over `T` (001 eqs. 4.14-4.17 with 4.46); `a_V` and `a_A` start at zero."""
+    omega = x[2]
+    v_x = x[0]
+    clockwise = 1.0 if errata.course else -1.0
+    x[0] += T * x[1]
+    x[5] = clockwise * omega * T
+    # 4.50 as printed holds for the left error of a clockwise rate; the correction follows the sense of the rate.
+    half = 0.5 * omega * T * (clockwise if errata.jacobian else 1.0)
+    lever = clockwise * T if errata.jacobian else 0.0
+    for c in range(N_STATES):
+        P[0, c] += T * P[1, c]
+        p, q = P[3, c], P[4, c]
+        P[3, c] = p - half * q
+        P[4, c] = half * p + q
+        P[5, c] += lever * P[2, c]
+    for c in range(N_STATES):
+        P[c, 0] += T * P[c, 1]
+        p, q = P[c, 3], P[c, 4]
+        P[c, 3] = p - half * q
+        P[c, 4] = half * p + q
+        P[c, 5] += lever * P[c, 2]
+    process_noise(P, v_x, omega, T, tuning, errata)
+
+
+@kernel
+def measurement_model(x: Floats, q_V: Floats, q_A: Floats, clockwise: float, h: Floats, H: Floats) -> None:
+    """Write ``h`` of 001 eqs. 4.55-4.62 and its Jacobian, at ``a_A = 0``, into `h` (7,) and `H` (7, 9)."""
+    R_tv, R_va = np.empty((3, 3)), np.empty((3, 3))
+    vector, turned, J = np.empty(3), np.empty(3), np.empty((3, 3))
+    rotation_of(q_V, R_tv)
+    rotation_of(q_A, R_va)
+    a_V = x[3:6]
+    H[:] = 0.0
+    # Gravity reaction in the vehicle and its derivative; the transposed small rotation is that of -a.
+    vector[0], vector[1], vector[2] = 0.0, 0.0, -GRAVITY
+    small_rotation(-a_V, vector, turned, J)
+    b0 = R_tv[0, 0] * turned[0] + R_tv[1, 0] * turned[1] + R_tv[2, 0] * turned[2] + x[1]
+    b1 = R_tv[0, 1] * turned[0] + R_tv[1, 1] * turned[1] + R_tv[2, 1] * turned[2] + clockwise * x[2] * x[0]
+    b2 = R_tv[0, 2] * turned[0] + R_tv[1, 2] * turned[1] + R_tv[2, 2] * turned[2]
+    for i in range(3):
+        x_a, y_a, z_a = R_va[0, i], R_va[1, i], R_va[2, i]
+        h[i] = x_a * b0 + y_a * b1 + z_a * b2
+        H[i, 0] = y_a * clockwise * x[2]
+        H[i, 1] = x_a
+        H[i, 2] = y_a * clockwise * x[0]
+        for j in range(3):
+            along = x_a * R_tv[j, 0] + y_a * R_tv[j, 1] + z_a * R_tv[j, 2]
+            for c in range(3):
+                H[i, 3 + c] -= along * J[j, c]
+        H[i, 6] = y_a * b2 - z_a * b1
+        H[i, 7] = z_a * b0 - x_a * b2
+        H[i, 8] = x_a * b1 - y_a * b0
+    for i in range(3):
+        vector[i] = R_tv[i, 0]
+    small_rotation(a_V, vector, turned, J)
+    for i in range(3):
+        h[3 + i] = x[0] * turned[i]
+        H[3 + i, 0] = turned[i]
+        for c in range(3):
+            H[3 + i, 3 + c] = x[0] * J[i, c]
+    h[6] = x[2]
+    H[6, 2] = 1.0
+
+
+@kernel
+def assimilate(y: float, r: float, h: float, row: Floats, dx: Floats, P: Floats, spread: Floats) -> float:
+    """Fold one scalar measurement into the correction `dx` and `P`; returns its squared normalised innovation.
+
+    `h` and `row` belong to the prediction, so the innovation is what `dx` leaves of ``y - h``.
+    """
+    innovation = y - h
+    for j in range(N_STATES):
+        spread[j] = 0.0
+    for j in range(N_STATES):
+        slope = row[j]
+        if slope != 0.0:
+            innovation -= slope * dx[j]
+            for i in range(N_STATES):
+                spread[i] += P[j, i] * slope
+    S = r
+    for j in range(N_STATES):
+        S += row[j] * spread[j]
+    for i in range(N_STATES):
+        gain = spread[i] / S
+        dx[i] += gain * innovation
+        for j in range(N_STATES):
+            P[i, j] -= gain * spread[j]
+    return innovation * innovation / S
+
+
+@kernel
+def update(
+    x: Floats, P: Floats, y: Floats, r: Floats, used: Flags, h: Floats, H: Floats, errata: Errata
+) -> float:
+    """Update state and covariance with the measurements `used` (001 eqs. 4.18-4.23); returns their chi square."""
+    dx, spread = np.zeros(N_STATES), np.empty(N_STATES)
+    before = P.copy()
+    chi2 = 0.0
+    for i in range(N_MEASUREMENTS):
+        if used[i]:
+            chi2 += assimilate(y[i], r[i], h[i], H[i], dx, P, spread)
+    if not errata.covariance:
+        # 4.23 literally; the residual vector only fits between K and K' as a diagonal matrix.  K = P(k|k) H' R^-1.
+        gains = np.zeros((N_MEASUREMENTS, N_STATES))
+        for i in range(N_MEASUREMENTS):
+            if used[i]:
+                gains[i] = P @ H[i] / r[i]
+        P[:] = before
+        for i in range(N_MEASUREMENTS):
+            P += (y[i] - h[i]) * np.outer(gains[i], gains[i])
+    x += dx
+    return chi2

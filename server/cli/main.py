@@ -1,0 +1,108 @@
+"""`scatola`: the arguments of every command; what a command does is imported when it runs.
+
+Status 0 with a result, 1 with one clear line on standard error for bad data, 2 on bad usage.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+ROUTES = ("urban", "highway", "straight", "gentle", "roundabout", "static")
+METHODS = ("whole-drive", "mekf")
+
+Add = Callable[[str, str, str], argparse.ArgumentParser]
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run one command and return its exit status."""
+    args = build_parser().parse_args(argv)
+    module, function = args.command
+    command: Callable[[argparse.Namespace], int] = getattr(importlib.import_module(module), function)
+    try:
+        return command(args)
+    except KeyboardInterrupt:
+        return 130
+    except BrokenPipeError:
+        return 0
+    except (ValueError, OSError) as error:
+        # Bad data is the caller's to mend: one line, no traceback.
+        print(f"scatola: {error}", file=sys.stderr)
+        return 1
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """The parser of all commands."""
+    parser = argparse.ArgumentParser(prog="scatola", description="Telemetry black boxes: mounting, crashes, fleet.")
+    commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
+
+    def add(name: str, target: str, summary: str) -> argparse.ArgumentParser:
+        command = commands.add_parser(name, help=summary, description=summary)
+        module, function = target.split(":")
+        command.set_defaults(command=(f"server.cli.{module}", function))
+        return command
+
+    _add_file_commands(add)
+    _add_service_commands(add)
+    return parser
+
+
+def _add_file_commands(add: Add) -> None:
+    mount = add("mount", "files:mount", "Estimate how the box of a drive file is mounted.")
+    mount.add_argument("drive", type=Path, metavar="DRIVE", help="drive file: CSV, Parquet or the thesis' text line")
+    mount.add_argument("--method", choices=METHODS, default="whole-drive")
+    mount.add_argument("--json", action="store_true", help="print the contract's JSON")
+
+    simulate = add("simulate", "files:simulate", "Write a simulated drive and its exact truth.")
+    simulate.add_argument("out", type=Path, metavar="OUT", help="drive file to write: .csv or .parquet")
+    simulate.add_argument("--route", choices=ROUTES, default="urban")
+    simulate.add_argument("--minutes", type=float, default=5.0)
+    simulate.add_argument("--mount", metavar="THETA,PHI,PSI", help="mounting angles in degrees; default: drawn")
+    simulate.add_argument("--seed", type=int, default=0)
+    simulate.add_argument("--rate", type=float, default=200.0, help="accelerometer rate, Hz")
+    simulate.add_argument("--gps-rate", type=float, default=4.0, help="fixes per second")
+    simulate.add_argument("--gyro", action="store_true", help="the box has a gyro")
+    simulate.add_argument(
+        "--crash", action="append", default=[], metavar="T,DV_KMH,PDOF_DEG[,MS]", help="an impact; may be repeated"
+    )
+    simulate.add_argument(
+        "--move",
+        action="append",
+        default=[],
+        metavar="T,X,Y,Z",
+        help="at T seconds the box is turned by this rotation vector about the V axes, degrees; may be repeated",
+    )
+    simulate.add_argument("--json", action="store_true", help="print the truth")
+
+    upload = add("upload", "upload:upload", "Upload a drive file as a box would; resumes where it stopped.")
+    upload.add_argument("drive", type=Path, metavar="DRIVE")
+    upload.add_argument("--url", required=True, help="address of the service")
+    upload.add_argument("--token", required=True, help="the box's token")
+    upload.add_argument("--boot", help="name of this run of the box's clock; default: from the file's content")
+    upload.add_argument("--seconds", type=float, default=60.0, help="length of a batch")
+    upload.add_argument("--json", action="store_true")
+
+
+def _add_service_commands(add: Add) -> None:
+    add("serve", "service:serve", "Serve the API and the pages; without a broker also worker and 3D viewer.")
+    add("worker", "service:worker", "Work off what is due.")
+    viewer = add("viewer", "service:viewer", "Serve the 3D views.")
+    viewer.add_argument("--host", default="127.0.0.1")
+    viewer.add_argument("--port", type=int, default=8001)
+    migrate = add("migrate", "service:migrate", "Bring the database to the newest schema.")
+    migrate.add_argument("--check", action="store_true", help="only say whether migrations and models agree")
+    demo = add("demo", "demo:demo", "The service and a simulated fleet that uploads to it.")
+    demo.add_argument("--speed", type=float, default=30.0, help="how much faster than life the past is replayed")
+    demo.add_argument("--history-minutes", type=float, default=40.0, help="how far back the fleet begins")
+    fleet = add("demo-fleet", "demo:fleet", "The simulated fleet alone (started by demo).")
+    fleet.add_argument("--url", required=True)
+    fleet.add_argument("--speed", type=float, default=30.0)
+    fleet.add_argument("--history-minutes", type=float, default=40.0)
+    add("warm-up", "service:warm_up", "Compile the numerical kernels into the cache.")
+
+
+if __name__ == "__main__":
+    sys.exit(main())
