@@ -12,11 +12,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from nav_core.mounting.thesis_model import GRAVITY, THESIS_PERIOD, Errata, Steps, Tuning
+from nav_core.mounting.thesis_model import GRAVITY, MOVING, THESIS_PERIOD, VEHICLE_START, Errata, Steps, Tuning
 from nav_core.typing import Flags, Floats, kernel
 
 N_STATES = 9
 N_MEASUREMENTS = 7
+
+EIGENVALUE_PERIOD = 1.0
+"""s between two looks at the eigenvalues."""
 
 
 @kernel
@@ -180,44 +183,113 @@ def assimilate(y: float, r: float, h: float, row: Floats, dx: Floats, P: Floats,
     `h` and `row` belong to the prediction, so the innovation is what `dx` leaves of ``y - h``.
     """
     innovation = y - h
-    for j in range(N_STATES):
-        spread[j] = 0.0
-    for j in range(N_STATES):
-        slope = row[j]
-        if slope != 0.0:
-            innovation -= slope * dx[j]
-            for i in range(N_STATES):
-                spread[i] += P[j, i] * slope
-    S = r
-    for j in range(N_STATES):
-        S += row[j] * spread[j]
+    variance = r
     for i in range(N_STATES):
-        gain = spread[i] / S
+        projected = 0.0
+        for j in range(N_STATES):
+            projected += P[i, j] * row[j]
+        spread[i] = projected
+        variance += row[i] * projected
+        innovation -= row[i] * dx[i]
+    scale = 1.0 / variance
+    for i in range(N_STATES):
+        gain = spread[i] * scale
         dx[i] += gain * innovation
         for j in range(N_STATES):
             P[i, j] -= gain * spread[j]
-    return innovation * innovation / S
+    return innovation * innovation * scale
 
 
 @kernel
-def update(
-    x: Floats, P: Floats, y: Floats, r: Floats, used: Flags, h: Floats, H: Floats, errata: Errata
-) -> float:
+def update(x: Floats, P: Floats, y: Floats, r: Floats, used: Flags, h: Floats, H: Floats, errata: Errata) -> float:
     """Update state and covariance with the measurements `used` (001 eqs. 4.18-4.23); returns their chi square."""
     dx, spread = np.zeros(N_STATES), np.empty(N_STATES)
-    before = P.copy()
+    before = P if errata.covariance else P.copy()
     chi2 = 0.0
     for i in range(N_MEASUREMENTS):
         if used[i]:
             chi2 += assimilate(y[i], r[i], h[i], H[i], dx, P, spread)
     if not errata.covariance:
-        # 4.23 literally; the residual vector only fits between K and K' as a diagonal matrix.  K = P(k|k) H' R^-1.
-        gains = np.zeros((N_MEASUREMENTS, N_STATES))
+        # 4.23 to the letter; the residuals only fit between K and K' as a diagonal matrix.  K = P(k|k) H' R^-1.
         for i in range(N_MEASUREMENTS):
             if used[i]:
-                gains[i] = P @ H[i] / r[i]
+                gain = P @ H[i] / r[i]
+                before += (y[i] - h[i]) * np.outer(gain, gain)
         P[:] = before
-        for i in range(N_MEASUREMENTS):
-            P += (y[i] - h[i]) * np.outer(gains[i], gains[i])
-    x += dx
+    for j in range(N_STATES):
+        x[j] += dx[j]
     return chi2
+
+
+@kernel
+def restart_vehicle(x: Floats, P: Floats, q_V: Floats, velocity: Floats, speed: float) -> None:
+    """Set the vehicle level, on its course and at its GPS speed, and forget what tied it to the mounting."""
+    half = 0.5 * np.arctan2(velocity[1], velocity[0])
+    q_V[0], q_V[1], q_V[2], q_V[3] = 0.0, 0.0, np.sin(half), np.cos(half)
+    for j in range(6):
+        x[j] = 0.0
+        for c in range(N_STATES):
+            P[j, c] = 0.0
+            P[c, j] = 0.0
+        P[j, j] = VEHICLE_START[j]
+    x[0] = speed
+
+
+@kernel
+def move_references(x: Floats, P: Floats, q_V: Floats, q_A: Floats, errata: Errata) -> None:
+    """Put `a_V` and `a_A` into the reference quaternions and zero them (001 eqs. 4.29, 4.30)."""
+    turn_reference(x[3:6], q_V)
+    turn_reference(x[6:9], q_A)
+    if errata.reset:
+        transport(x[3:6], 3, P)
+        transport(x[6:9], 6, P)
+    x[3:9] = 0.0
+
+
+@kernel
+def filter_drive(
+    steps: Steps, x: Floats, P: Floats, q_V: Floats, q_A: Floats, tuning: Tuning, errata: Errata
+) -> tuple[int, Floats, Floats, Floats, Floats, Floats, Floats]:
+    """Run the filter over a drive; `x`, `P`, `q_V` and `q_A` are its start and are overwritten with its end.
+
+    Returns
+    -------
+    tuple
+        Steps done before a number stopped being finite, and the columns of `thesis.History`:
+        q_A (n, 4), q_V (n, 4), motion (n, 3), mounting covariance (n, 3, 3), largest eigenvalue (n,), chi square (n,).
+    """
+    n = steps.t.size
+    out_A, out_V, motion = np.full((n, 4), np.nan), np.full((n, 4), np.nan), np.full((n, 3), np.nan)
+    covariance = np.full((n, 3, 3), np.nan)
+    largest, chi2 = np.full(n, np.nan), np.full(n, np.nan)
+    h, H = np.empty(N_MEASUREMENTS), np.zeros((N_MEASUREMENTS, N_STATES))
+    y, r, used = np.empty(N_MEASUREMENTS), np.empty(N_MEASUREMENTS), np.ones(N_MEASUREMENTS, dtype=np.bool_)
+    r[:3], r[3:6], r[6] = tuning.accelerometer, tuning.speed, tuning.turn_rate
+    clockwise = 1.0 if errata.course else -1.0
+    eigenvalue, next_look = np.nan, steps.t[0]
+    for k in range(n):
+        speed, velocity = steps.speed[k], steps.velocity[k]
+        if errata.start and steps.period[k] > tuning.longest_step:
+            restart_vehicle(x, P, q_V, velocity, speed)
+        else:
+            predict(x, P, steps.period[k], tuning, errata)
+        measurement_model(x, q_V, q_A, clockwise, h, H)
+        y[:3], y[3:6], y[6] = steps.f[k], velocity, steps.turn_rate[k]
+        used[6] = steps.turning[k]
+        chi2[k] = update(x, P, y, r, used, h, H, errata)
+        move_references(x, P, q_V, q_A, errata)
+        if errata.forward and x[0] < 0.0:
+            x[0] = 0.0
+            if speed > MOVING:
+                # Only a vehicle turned away from its course drives backwards: the way into the mirror solution.
+                restart_vehicle(x, P, q_V, velocity, speed)
+        trace = np.trace(P)
+        if not np.isfinite(trace + q_A[0] + q_V[0] + x[0]):
+            return k, out_A, out_V, motion, covariance, largest, chi2
+        if steps.t[k] >= next_look:
+            # Costs several filter steps, so once a second.
+            eigenvalue = N_STATES * np.linalg.eigvalsh(P)[-1] / trace
+            next_look = steps.t[k] + EIGENVALUE_PERIOD
+        out_A[k], out_V[k], motion[k], covariance[k] = q_A, q_V, x[:3], P[6:9, 6:9]
+        largest[k] = eigenvalue
+    return n, out_A, out_V, motion, covariance, largest, chi2

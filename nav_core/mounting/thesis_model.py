@@ -27,6 +27,18 @@ MOVING = 1.5
 """m/s; below it the receiver's course is noise, so the last one is held."""
 
 
+VEHICLE_START = (0.3, 4.0, 0.01, 0.0025, 0.0025, 0.01)
+"""Variances of v_x, a_x, omega_z and a_V of a vehicle set on its course (correction of 5.2): (0.55 m/s)², (2 m/s²)²,
+(0.1 rad/s)², slope and bank of (0.05 rad)², course of (0.1 rad)²."""
+
+LEVEL_TILT, UNKNOWN_YAW = 0.1, np.pi / np.sqrt(3.0)
+"""1-sigma of a mounting levelled by gravity, rad: 1 m/s² of acceleration or slope; a turn of which nothing is known."""
+
+CLIMB_WINDOW = 10.0
+"""s; height is differenced over it in the corrected 5.1: its error wanders metres within seconds, which a
+difference from fix to fix turns into metres per second."""
+
+
 class Tuning(NamedTuple):
     """Table 5.1 of 001 with units, and the figures that the thesis leaves open.
 
@@ -63,7 +75,7 @@ class Errata(NamedTuple):
     course: bool = True
     """Course clockwise with z down: 4.55 and 4.51 with +omega, 5.1 with +sin (else counter-clockwise)."""
     descent: bool = True
-    """The z component of velocity points down: -dh/dt in 5.1."""
+    """The z component of velocity points down, -dh/dt in 5.1, and is differenced over 10 s."""
     jacobian: bool = True
     """Derivative of f instead of F(x) in 4.15, with the left error's signs in 4.50."""
     floor: bool = True
@@ -73,7 +85,7 @@ class Errata(NamedTuple):
     reset: bool = True
     """Moving the references (4.29, 4.30) transports the covariance."""
     start: bool = True
-    """The vehicle starts towards its course with a covariance that says what is known (5.2)."""
+    """Starts on its course and levelled by gravity, with a covariance that says what is known (5.2)."""
     forward: bool = True
     """v_x >= 0: excludes the mirror solution."""
 
@@ -150,7 +162,7 @@ def measurement_vectors(drive: Drive, errata: Errata = CORRECTED) -> Steps:
     course = _held(gnss.course[used], moving)
     alt = _held(gnss.alt[used], np.isfinite(gnss.alt[used]))
     period = np.diff(t, prepend=t[0] - THESIS_PERIOD)
-    climb = np.diff(alt, prepend=alt[0]) / period
+    climb = _climb(t, alt, CLIMB_WINDOW if errata.descent else 0.0)
     turn_rate = wrap(np.diff(course, prepend=course[0])) / period
     velocity = np.stack([speed * np.cos(course), speed * np.sin(course), -climb if errata.descent else climb], axis=1)
     return Steps(
@@ -159,9 +171,16 @@ def measurement_vectors(drive: Drive, errata: Errata = CORRECTED) -> Steps:
         f=f,
         velocity=velocity,
         turn_rate=turn_rate if errata.course else -turn_rate,
-        turning=moving & np.append(False, moving[:-1]),  # noqa: FBT003  numpy's own signature
+        turning=~moving | np.append(True, moving[:-1]),  # noqa: FBT003  numpy's own signature
         speed=speed,
     )
+
+
+def _climb(t: Floats, alt: Floats, window: float) -> Floats:
+    """Difference quotient of the height over `window` s, or from fix to fix if that is longer; 0 at the start."""
+    now = np.arange(t.size)
+    before = np.clip(np.searchsorted(t, t - window, side="right") - 1, 0, np.maximum(now - 1, 0))
+    return np.where(now > 0, alt - alt[before], 0.0) / np.where(now > 0, t - t[before], 1.0)
 
 
 def _usable_fixes(drive: Drive) -> tuple[Integers, Floats]:

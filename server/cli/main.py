@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import math
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -32,6 +33,22 @@ def main(argv: list[str] | None = None) -> int:
         # Bad data is the caller's to mend: one line, no traceback.
         print(f"scatola: {error}", file=sys.stderr)
         return 1
+
+
+def numbers(*counts: int) -> Callable[[str], list[float]]:
+    """Type of an argument that is one of these counts of numbers, separated by commas."""
+
+    def parse(text: str) -> list[float]:
+        try:
+            values = [float(part) for part in text.split(",")]
+        except ValueError:
+            values = []
+        if len(values) not in counts or not all(math.isfinite(value) for value in values):
+            wanted = " or ".join(str(count) for count in counts)
+            raise argparse.ArgumentTypeError(f"{text!r}: {wanted} numbers separated by commas are needed")
+        return values
+
+    return parse
 
 
 def build_parser() -> argparse.ArgumentParser:
@@ -60,20 +77,28 @@ def _add_file_commands(add: Add) -> None:
     simulate.add_argument("out", type=Path, metavar="OUT", help="drive file to write: .csv or .parquet")
     simulate.add_argument("--route", choices=ROUTES, default="urban")
     simulate.add_argument("--minutes", type=float, default=5.0)
-    simulate.add_argument("--mount", metavar="THETA,PHI,PSI", help="mounting angles in degrees; default: drawn")
+    simulate.add_argument(
+        "--mount", type=numbers(3), metavar="THETA,PHI,PSI", help="mounting angles in degrees; default: drawn"
+    )
     simulate.add_argument("--seed", type=int, default=0)
     simulate.add_argument("--rate", type=float, default=200.0, help="accelerometer rate, Hz")
     simulate.add_argument("--gps-rate", type=float, default=4.0, help="fixes per second")
     simulate.add_argument("--gyro", action="store_true", help="the box has a gyro")
     simulate.add_argument(
-        "--crash", action="append", default=[], metavar="T,DV_KMH,PDOF_DEG[,MS]", help="an impact; may be repeated"
+        "--crash",
+        action="append",
+        default=[],
+        type=numbers(3, 4),
+        metavar="T,DV_KMH,PDOF_DEG[,MS]",
+        help="an impact; may be repeated",
     )
     simulate.add_argument(
         "--move",
         action="append",
         default=[],
+        type=numbers(4),
         metavar="T,X,Y,Z",
-        help="at T seconds the box is turned by this rotation vector about the V axes, degrees; may be repeated",
+        help="at T seconds the box is turned by this rotation vector about its own axes, degrees; may be repeated",
     )
     simulate.add_argument("--json", action="store_true", help="print the truth")
 

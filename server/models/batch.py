@@ -59,3 +59,7 @@ class BatchDigest(Base):
 
     batch_id: Mapped[str] = mapped_column(ForeignKey("batch.id", ondelete="CASCADE"), primary_key=True)
     content: Mapped[bytes] = mapped_column(LargeBinary)
+    clock_t_s: Mapped[float | None]
+    """Box time at the middle of the batch's fixes that carry UTC."""
+    clock_offset_s: Mapped[float | None]
+    """Median of UTC minus box time over those fixes."""

@@ -45,10 +45,12 @@ class DeviceState(Base):
     speed_mps: Mapped[float | None]
     course_rad: Mapped[float | None]
     health: Mapped[dict[str, Any]] = mapped_column(default=dict)
+    review_at: Mapped[dt.datetime | None] = mapped_column(index=True)
+    """When the worker wants to look again even if nothing new arrives: an estimate or a trip is left open."""
 
 
 class Boot(Base):
-    """One run of a box's clock, and how that clock maps to UTC."""
+    """One run of a box's clock, and how that clock maps to UTC: ``utc = utc_offset_s + (1 + utc_drift) * t``."""
 
     __tablename__ = "boot"
 
@@ -59,3 +61,22 @@ class Boot(Base):
     utc_drift: Mapped[float] = mapped_column(default=0.0)
     utc_sigma_s: Mapped[float]
     utc_source: Mapped[str] = mapped_column(String(10))
+    """`gnss` when fixes carried UTC, else `arrival`."""
+    arrival_offset_s: Mapped[float]
+    """The smallest time of arrival minus box time of the last sample that any batch had."""
+    t_first_s: Mapped[float]
+    t_last_s: Mapped[float]
+    trip_state: Mapped[dict[str, Any]] = mapped_column(default=dict)
+    """Where the reckoning of trips stands, so that the next batch continues it."""
+
+    def unix_s(self, t_s: float) -> float:
+        """Unix time of a box time."""
+        return self.utc_offset_s + (1.0 + self.utc_drift) * t_s
+
+    def box_s(self, unix_s: float) -> float:
+        """Box time of a Unix time."""
+        return (unix_s - self.utc_offset_s) / (1.0 + self.utc_drift)
+
+    def utc(self, t_s: float) -> dt.datetime:
+        """UTC of a box time."""
+        return dt.datetime.fromtimestamp(self.unix_s(t_s), dt.UTC)

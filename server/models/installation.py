@@ -35,6 +35,9 @@ class Installation(Base):
     """The mount JSON of the contract."""
     algorithm: Mapped[str] = mapped_column(String(60))
     input_sha256: Mapped[str] = mapped_column(String(64))
+    unestimated_s: Mapped[float] = mapped_column(default=0.0)
+    """Length of the data that came since the last estimate, and of the driving in it."""
+    unestimated_moving_s: Mapped[float] = mapped_column(default=0.0)
 
 
 class MountingRevision(Base):

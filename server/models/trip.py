@@ -28,6 +28,9 @@ class Trip(Base):
     ended_at: Mapped[dt.datetime]
     under_way: Mapped[bool]
     distance_m: Mapped[float]
+    """Speed integrated over time."""
+    position_distance_m: Mapped[float]
+    """The same way measured between positions: the check."""
     moving_s: Mapped[float]
     max_speed_mps: Mapped[float]
     algorithm: Mapped[str] = mapped_column(String(60))

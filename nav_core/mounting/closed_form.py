@@ -1,0 +1,144 @@
+"""Where to start: gravity gives the tilt, one linear least squares the heading, lags by a scan.
+
+With the vertical known, the forward axis is ``c e1 + s e2`` in any level basis, and both planes of
+`nav_core.mounting.model` are linear in (c, s): speed changes by the force along it, course by the
+force across it.  Nothing is ambiguous: the sign of speed tells front from rear, and on a straight
+road "no force across the axis but turning" finds the axis that braking and slopes excite.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from nav_core.mounting.model import (
+    CLIMB,
+    V,
+    Noise,
+    Record,
+    at,
+    integrate,
+    pitch_system,
+    steps_of,
+    turned,
+    yaw_system,
+)
+from nav_core.mounting.whitening import Channel, whiten
+from nav_core.typing import Floats
+
+LAG_GRID = np.arange(0.0, 2.01, 0.25)
+"""Lags that are tried, s."""
+
+INTERCEPT = 0.5
+"""Deviation of what bias and tilt leave in each level axis, m/s²."""
+
+
+class Start(NamedTuple):
+    """A mounting to refine, and how much of a car was in it."""
+
+    R_va: Floats
+    speed_lag: float
+    course_lag: float
+    strength: float
+    """Length of (c, s): 1 for a box fixed in a car."""
+    sigma: float
+    """Of the heading, as far as this model goes, rad."""
+
+
+def level_basis(f: Floats) -> Floats:
+    """Rotation from the A-frame to a level frame of arbitrary heading, z down.
+
+    Parameters
+    ----------
+    f : ndarray, shape (n, 3)
+        Specific force, m/s².
+
+    Returns
+    -------
+    ndarray, shape (3, 3)
+    """
+    down = -np.median(f, axis=0)
+    down /= np.linalg.norm(down)
+    helper = np.eye(3)[np.argmin(np.abs(down))]
+    e1 = helper - down * (helper @ down)
+    e1 /= np.linalg.norm(e1)
+    return np.stack([e1, np.cross(down, e1), down])
+
+
+def _planes(record: Record, level: Floats, lag: float, noise: Noise) -> tuple[Channel, Channel]:
+    """Both planes with the unknowns (c, s, intercept along, intercept across)."""
+    steps = steps_of(record, lag)
+    frame = turned(record, level, lag)
+    inputs = np.column_stack([frame.f[:, :2], frame.f[:, :2] * frame.inverse_speed[:, None], frame.inverse_speed])
+    total = np.diff(at(record, steps.when, integrate(record, inputs)), axis=0, prepend=0.0)
+    total[steps.broken] = 0.0
+    count = steps.when.size
+    along = np.zeros((count, 1, 5))
+    along[:, 0, 1:3], along[:, 0, 3] = total[:, :2], steps.dt
+    size = np.hypot(total[:, 0], total[:, 1])
+    P0, Phi, Q, H, r = pitch_system(record, steps, noise, size, np.zeros(count))
+    r[:, 2] = np.nan
+    Q[:, CLIMB, CLIMB] = 0.0
+    Y = np.zeros((count, 3, 5))
+    Y[:, 0, 0], Y[:, 1, 0] = record.fixes.speed, np.nan_to_num(record.fixes.alt)
+    x0 = np.zeros(8)
+    x0[V], x0[4] = record.fixes.speed[0], Y[0, 1, 0]
+    pitch = Channel(x0, P0, Phi, Q, np.array([V]), along, H, Y, r, np.zeros(3))
+    across = np.zeros((count, 1, 5))
+    across[:, 0, 1], across[:, 0, 2], across[:, 0, 4] = total[:, 3], -total[:, 2], total[:, 4]
+    across[:, 0, 1:3] = np.column_stack([total[:, 3], -total[:, 2]])
+    elapsed = np.diff(steps.when, prepend=steps.when[:1])
+    lost = steps.broken | np.isnan(record.fixes.course) | (elapsed > 3.0)
+    driven = np.column_stack([total[:, 2], np.hypot(total[:, 2], total[:, 3]), total[:, 2], total[:, 4]])
+    Phi, Q, H, r = yaw_system(record.fixes, steps, noise, driven, lost)
+    Y = np.zeros((count, 1, 5))
+    Y[:, 0, 0] = np.nan_to_num(record.fixes.course)
+    P0 = np.diag([100.0, noise.bank**2, noise.speed_slow**2])
+    yaw = Channel(np.zeros(3), P0, Phi, Q, np.array([0]), across, H, Y, r, np.array([2.0 * np.pi]))
+    return pitch, yaw
+
+
+def start(record: Record, noise: Noise) -> Start:
+    """Closed-form mounting and coarse lags.
+
+    Parameters
+    ----------
+    record : Record
+        With at least two fixes and some ticks.
+    noise : Noise
+
+    Returns
+    -------
+    Start
+    """
+    level = level_basis(record.f)
+    block = np.zeros(record.fixes.t.size, dtype=np.int64)
+    zero = np.zeros(4)
+    grams: list[tuple[Floats, Floats]] = []
+    for lag in LAG_GRID:
+        pitch, yaw = _planes(record, level, float(lag), noise)
+        grams.append(
+            (
+                whiten(pitch, block, 1, zero, limit=np.inf).gram.sum((0, 1)),
+                whiten(yaw, block, 1, zero, limit=np.inf).gram.sum((0, 1)),
+            )
+        )
+    information = np.diag([1e-2, 1e-2, INTERCEPT**-2, INTERCEPT**-2])
+    best: tuple[float, Floats, Floats, int, int] | None = None
+    for i, (along, _) in enumerate(grams):
+        for j, (_, across) in enumerate(grams):
+            gram = along + across
+            A = gram[1:, 1:] + information
+            p = -np.linalg.solve(A, gram[1:, 0])
+            cost = gram[0, 0] + gram[1:, 0] @ p + LAG_GRID[i] + LAG_GRID[j]
+            if best is None or cost < best[0]:
+                best = (float(cost), p, np.linalg.inv(A), i, j)
+    assert best is not None
+    _, p, covariance, i, j = best
+    strength = float(np.hypot(p[0], p[1]))
+    c, s = p[:2] / max(strength, 1e-9)
+    across = np.array([-s, c])
+    sigma = float(np.sqrt(across @ covariance[:2, :2] @ across) / max(strength, 1e-9))
+    R_va = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) @ level
+    return Start(R_va, float(LAG_GRID[i]), float(LAG_GRID[j]), strength, sigma)

@@ -1,0 +1,407 @@
+"""What a car, a road, a receiver and a box do: the linear model behind the whole-drive estimate.
+
+Two systems share the unknowns.  The *pitch plane* holds speed, climb, slope and height, driven by
+the longitudinal and vertical specific force; the *yaw plane* holds course and bank, driven by the
+lateral one.  Specific force is integrated and compared with what the receiver says, so GPS is
+never differentiated, its noise stays in its place, and slow fixes lose nothing.
+
+Signs, for small road and body angles (V-frame; slope s uphill positive, climb downward positive)::
+
+    f_x = a_x + g s + kappa_x a_x - l_x w² - l_y w'
+    f_y = v w + g bank + kappa_y v w + l_x w' - l_y w²
+    f_z = -g + climb' + (kappa_x f_x² + kappa_y f_y²) / g
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from nav_core.mounting.whitening import Channel
+from nav_core.records import Gnss
+from nav_core.signal import Ticks
+from nav_core.typing import Flags, Floats, Integers
+
+GRAVITY = 9.80665
+MILLI_G = 1e-3 * GRAVITY
+
+# Places of the unknowns in p.
+TURN = slice(0, 3)
+BIAS = slice(3, 6)
+PITCH_GAIN, ROLL_GAIN, LEVER_X, LEVER_Y, ANTENNA_X, SPEED_LAG, COURSE_LAG = range(6, 13)
+UNKNOWNS = 13
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Noise:
+    """How much of what to expect; the prior knowledge of the estimator, SI units.
+
+    The figures are those of ordinary cars, roads and receivers and are meant to be generous rather
+    than tuned; the innovation statistics widen the result where a drive is worse.
+    """
+
+    speed_white: float = 0.06
+    speed_slow: float = 0.06
+    """Errors of GPS velocity along and across the travel, m/s: per fix, and slowly varying."""
+    slow_time: float = 4.0
+    """Correlation time of the slow errors of speed, course and height, s."""
+    height_white: float = 0.5
+    height_slow: float = 3.0
+    """m."""
+    slope: float = 0.03
+    slope_length: float = 80.0
+    """Deviation (rad) and correlation length (m) of the slope, a smooth (second-order) process."""
+    bank: float = np.radians(0.8)
+    bank_length: float = 80.0
+    """Deviation (rad) and correlation length (m) of the bank, a rough (first-order) process."""
+    force: float = 0.03
+    """White noise of specific force: sensor, vibration left over, (m/s²)/√Hz."""
+    relative: float = 0.02
+    """Share of a change of speed or course that the model may miss."""
+    heave: float = 0.04
+    """Vertical velocity of the body on its springs, m/s."""
+    crown: float = np.radians(0.8)
+    """Mean sideways tilt of the roads of a drive; part of the mounting for all the data can tell, rad."""
+    bias: float = 6.0 * MILLI_G
+    """Accelerometer bias before the drive has spoken, per axis, m/s²."""
+    pitch_gain: tuple[float, float] = (0.04, 0.02)
+    roll_gain: tuple[float, float] = (0.07, 0.03)
+    """Body pitch and roll per g, as a share of specific force: mean and deviation."""
+    lever: tuple[float, float] = (0.5, 1.0)
+    """How far the box sits ahead of the point that does not slip: mean and deviation, m."""
+    lever_side: float = 0.5
+    antenna: float = 0.3
+    """Deviations of the box's place to the right, and of the antenna ahead of the point that does not slip, m."""
+    lag: tuple[float, float] = (0.3, 0.5)
+    """Of the receiver: mean and deviation, s."""
+
+
+FOLLOW_SPEED = 2.0
+"""Course is used above this speed, m/s."""
+FLOOR_SPEED = 1.0
+"""Divisor's floor where course is integrated, m/s."""
+
+
+class Fixes(NamedTuple):
+    """Usable fixes of a drive: repeats and crowding removed."""
+
+    t: Floats
+    """Box time of arrival, s, shape (n,)."""
+    speed: Floats
+    course: Floats
+    """rad, NaN where the receiver cannot know it."""
+    alt: Floats
+    """m, NaN where unknown."""
+
+
+def usable_fixes(gnss: Gnss, *, spacing: float = 0.18) -> Fixes:
+    """Fixes that carry news, at least `spacing` seconds apart.
+
+    Parameters
+    ----------
+    gnss : Gnss
+    spacing : float
+        Closer fixes are left out: half of the error of velocity is common to neighbours, s.
+
+    Returns
+    -------
+    Fixes
+    """
+    good = gnss.fix & np.isfinite(gnss.speed)
+    t, speed, course, alt = gnss.t[good], gnss.speed[good], gnss.course[good], gnss.alt[good]
+    if t.size == 0:
+        return Fixes(t, speed, course, alt)
+    if np.median(np.diff(t)) < spacing if t.size > 1 else False:
+        cell = np.floor(t / (spacing * 1.1)).astype(np.int64)
+        keep = np.concatenate([[True], np.diff(cell) > 0])
+        t, speed, course, alt = t[keep], speed[keep], course[keep], alt[keep]
+    course = np.where(speed > FOLLOW_SPEED, course, np.nan)
+    return Fixes(t, speed, course, alt)
+
+
+class Record(NamedTuple):
+    """Ticks and fixes of a stretch of driving, prepared for repeated evaluation."""
+
+    t: Floats
+    """Tick times, s, shape (m,)."""
+    f: Floats
+    """Specific force in the A-frame, m/s², shape (m, 3)."""
+    step: Floats
+    """Valid time that ends at each tick, s: 0 after a gap, shape (m,)."""
+    fixes: Fixes
+
+
+def prepare(ticks: Ticks, fixes: Fixes) -> Record:
+    """Valid ticks around the fixes, with the gaps marked."""
+    inside = ticks.valid
+    if fixes.t.size:
+        inside &= (ticks.t >= fixes.t[0] - 3.0) & (ticks.t <= fixes.t[-1] + 1.0)
+    t, f = ticks.t[inside], ticks.f[inside]
+    step = np.diff(t, prepend=t[:1])
+    step[step > 3.5 / ticks.rate] = 0.0
+    return Record(t, f, step, fixes)
+
+
+def integrate(record: Record, values: Floats) -> Floats:
+    """Running trapezoid integral of tick values over valid time, shape like `values`."""
+    step = record.step if values.ndim == 1 else record.step[:, None]
+    mean = values.copy()
+    mean[1:] += values[:-1]
+    return np.cumsum(0.5 * step * mean, axis=0)
+
+
+def at(record: Record, when: Floats, values: Floats) -> Floats:
+    """Tick values at any times, linear in between, shape (n,) or (n, k)."""
+    if record.t.size == 0:
+        return np.zeros((when.size, *values.shape[1:]))
+    right = np.clip(np.searchsorted(record.t, when), 1, max(record.t.size - 1, 1))
+    left = right - 1
+    right = np.minimum(right, record.t.size - 1)
+    span = np.maximum(record.t[right] - record.t[left], 1e-9)
+    share = np.clip((when - record.t[left]) / span, 0.0, 1.0)
+    if values.ndim == 2:
+        share = share[:, None]
+    return values[left] + share * (values[right] - values[left])
+
+
+class Steps(NamedTuple):
+    """From fix to fix at one lag: durations, distances, and where the thread breaks."""
+
+    when: Floats
+    dt: Floats
+    """Valid time, s."""
+    distance: Floats
+    """m."""
+    broken: Flags
+    """Accelerometer data are missing in the step."""
+
+
+def steps_of(record: Record, lag: float) -> Steps:
+    """Steps that end at each fix's own moment, ``t - lag``."""
+    when = record.fixes.t - lag
+    elapsed = np.diff(when, prepend=when[:1])
+    covered = np.diff(at(record, when, np.cumsum(record.step)), prepend=0.0)
+    covered[0] = 0.0
+    speed = record.fixes.speed
+    before = np.concatenate([speed[:1], speed[:-1]])
+    broken = np.abs(elapsed - covered) > 0.15
+    broken[0] = True
+    return Steps(when, covered, 0.5 * (speed + before) * elapsed, broken)
+
+
+def _difference(values: Floats, broken: Flags) -> Floats:
+    out = np.diff(values, axis=0, prepend=values[:1])
+    out[broken] = 0.0
+    return out
+
+
+def _slow(elapsed: Floats, time: float) -> tuple[Floats, Floats]:
+    """Decay and fresh variance (share) of a first-order process over each step."""
+    decay = np.exp(-np.maximum(elapsed, 0.0) / time)
+    return decay, 1.0 - decay**2
+
+
+class Frame(NamedTuple):
+    """Specific force turned by the present estimate, and what follows from it, at the ticks."""
+
+    f: Floats
+    """V axes of the present estimate, m/s², shape (m, 3)."""
+    w: Floats
+    """Turn rate, rad/s, shape (m,)."""
+    inverse_speed: Floats
+    """s/m, shape (m,)."""
+
+
+def turned(record: Record, R_va: Floats, lag: float) -> Frame:
+    """The ticks in the V axes of the present estimate.
+
+    Turn rate comes from the lateral force over speed, so it is as smooth as the accelerometer.
+    """
+    f = record.f @ R_va.T
+    speed = np.interp(record.t + lag, record.fixes.t, record.fixes.speed)
+    inverse = 1.0 / np.maximum(speed, FLOOR_SPEED)
+    w = np.where(speed > FLOOR_SPEED, (f[:, 1] - np.median(f[:, 1])) * inverse, 0.0)
+    return Frame(f, w, inverse)
+
+
+# States of the pitch plane.
+V, CLIMB, SLOPE, CURVE, HEIGHT, SPEED_ERROR, HEIGHT_ERROR, TILT = range(8)
+
+
+def pitch_system(record: Record, steps: Steps, noise: Noise, change: Floats, swing: Floats) -> tuple[Floats, ...]:
+    """Start, transition, noise and measurement rows of the pitch plane.
+
+    `change` and `swing` are the longitudinal and lateral specific force integrated over each step.
+    The body stands on the slope and on the bank: of the acceleration along the road none shows on
+    its vertical axis, of the lateral one the share of the bank does.
+    """
+    fixes = record.fixes
+    count = fixes.t.size
+    elapsed = np.diff(steps.when, prepend=steps.when[:1])
+    Phi, Q = np.zeros((count, 8, 8)), np.zeros((count, 8, 8))
+    Phi[:, (V, CLIMB, HEIGHT), (V, CLIMB, HEIGHT)] = 1.0
+    Phi[:, V, SLOPE] = -GRAVITY * steps.dt
+    Phi[:, HEIGHT, SLOPE] = steps.distance
+    Phi[1:, CLIMB, SLOPE] = -np.diff(fixes.speed)
+    Phi[:, CLIMB, TILT] = -swing
+    # Critically damped second-order Gauss-Markov process along the distance.
+    beta = 1.0 / noise.slope_length
+    d = steps.distance
+    decay = np.exp(-beta * d)
+    Phi[:, SLOPE, SLOPE], Phi[:, SLOPE, CURVE] = decay * (1.0 + beta * d), decay * d
+    Phi[:, CURVE, SLOPE], Phi[:, CURVE, CURVE] = -(beta**2) * d * decay, decay * (1.0 - beta * d)
+    rest = np.diag([noise.slope**2, (beta * noise.slope) ** 2])
+    block = Phi[:, SLOPE : CURVE + 1, SLOPE : CURVE + 1]
+    Q[:, SLOPE : CURVE + 1, SLOPE : CURVE + 1] = rest - block @ rest @ np.swapaxes(block, 1, 2)
+    along = np.exp(-d / noise.bank_length)
+    Phi[:, TILT, TILT], Q[:, TILT, TILT] = along, (1.0 - along**2) * noise.bank**2
+    decay, fresh = _slow(elapsed, noise.slow_time)
+    Phi[:, SPEED_ERROR, SPEED_ERROR], Q[:, SPEED_ERROR, SPEED_ERROR] = decay, fresh * noise.speed_slow**2
+    Phi[:, HEIGHT_ERROR, HEIGHT_ERROR], Q[:, HEIGHT_ERROR, HEIGHT_ERROR] = decay, fresh * noise.height_slow**2
+    lost = np.where(steps.broken, 1e4, 0.0)
+    Q[:, V, V] = noise.force**2 * steps.dt + (noise.relative * change) ** 2 + lost
+    Q[:, CLIMB, CLIMB] = noise.force**2 * steps.dt + lost
+    Q[:, HEIGHT, HEIGHT] = (0.02 * steps.distance) ** 2 * steps.broken
+    H = np.zeros((count, 3, 8))
+    H[:, 0, V] = H[:, 0, SPEED_ERROR] = 1.0
+    H[:, 1, HEIGHT] = H[:, 1, HEIGHT_ERROR] = 1.0
+    H[:, 2, CLIMB], H[:, 2, SLOPE] = 1.0, fixes.speed
+    r = np.empty((count, 3))
+    r[:, 0] = noise.speed_white**2
+    r[:, 1] = np.where(np.isfinite(fixes.alt), noise.height_white**2, np.nan)
+    r[:, 2] = noise.heave**2
+    deviations = [1e2, 1e2, noise.slope, beta * noise.slope, 1e2, noise.speed_slow, noise.height_slow, noise.bank]
+    P0 = np.diag(np.square(deviations))
+    return P0, Phi, Q, H, r
+
+
+def pitch_plane(record: Record, R_va: Floats, lag: float, noise: Noise) -> Channel:
+    """Speed, climb and height against longitudinal and vertical specific force.
+
+    Parameters
+    ----------
+    record : Record
+    R_va : ndarray, shape (3, 3)
+        Present estimate; the unknown turn is a small rotation about its V axes.
+    lag : float
+        Present estimate of the lag of GPS speed, s.
+    noise : Noise
+
+    Returns
+    -------
+    Channel
+        Measurements: GPS speed, GPS height, and "climb is speed times slope".
+    """
+    steps = steps_of(record, lag)
+    frame = turned(record, R_va, lag)
+    c = 1 + UNKNOWNS
+    quadratic = np.column_stack([frame.f[:, 0] ** 2, frame.f[:, 1] ** 2]) / GRAVITY
+    inputs = np.column_stack([frame.f, quadratic, frame.w**2])
+    total = _difference(at(record, steps.when, integrate(record, inputs)), steps.broken)
+    dw = _difference(at(record, steps.when, frame.w), steps.broken)
+    U = np.zeros((steps.when.size, 2, c))
+    keep = 1.0 - noise.pitch_gain[0]
+    U[:, 0, 0] = keep * total[:, 0] + noise.lever[0] * total[:, 5]
+    U[:, 0, 1 + 1], U[:, 0, 1 + 2] = keep * total[:, 2], -keep * total[:, 1]
+    U[:, 0, 1 + 3] = -steps.dt
+    U[:, 0, 1 + PITCH_GAIN] = -total[:, 0]
+    U[:, 0, 1 + LEVER_X], U[:, 0, 1 + LEVER_Y] = total[:, 5], dw
+    U[:, 1, 0] = (
+        total[:, 2] + GRAVITY * steps.dt - noise.pitch_gain[0] * total[:, 3] - noise.roll_gain[0] * total[:, 4]
+    )
+    U[:, 1, 1 + 0], U[:, 1, 1 + 1] = total[:, 1], -total[:, 0]
+    U[:, 1, 1 + 5] = -steps.dt
+    U[:, 1, 1 + PITCH_GAIN], U[:, 1, 1 + ROLL_GAIN] = -total[:, 3], -total[:, 4]
+    P0, Phi, Q, H, r = pitch_system(record, steps, noise, total[:, 0], total[:, 1])
+    fixes = record.fixes
+    Y = np.zeros((steps.when.size, 3, c))
+    Y[:, 0, 0], Y[:, 1, 0] = fixes.speed, np.nan_to_num(fixes.alt)
+    Y[:, 0, 1 + SPEED_LAG] = at(record, steps.when, frame.f[:, 0] - np.mean(frame.f[:, 0]))
+    x0 = np.zeros(8)
+    x0[V] = fixes.speed[0]
+    x0[HEIGHT] = Y[0, 1, 0]
+    return Channel(x0, P0, Phi, Q, np.array([V, CLIMB]), U, H, Y, r, np.zeros(3))
+
+
+def yaw_plane(record: Record, R_va: Floats, lags: tuple[float, float], noise: Noise) -> Channel:
+    """Course against lateral specific force; see `pitch_plane`.
+
+    Parameters
+    ----------
+    record : Record
+    R_va : ndarray, shape (3, 3)
+    lags : tuple of float
+        Present estimates of the lags of GPS speed and course, s.
+    noise : Noise
+
+    Returns
+    -------
+    Channel
+        Measurement: GPS course.  States: course, bank, slow error of lateral velocity.
+    """
+    steps = steps_of(record, lags[1])
+    frame = turned(record, R_va, lags[0])
+    c = 1 + UNKNOWNS
+    inverse = frame.inverse_speed
+    inputs = np.column_stack([frame.f * inverse[:, None], inverse])
+    total = _difference(at(record, steps.when, integrate(record, inputs)), steps.broken)
+    w = at(record, steps.when, frame.w)
+    inverse_now = at(record, steps.when, inverse)
+    spin = _difference(w, steps.broken) * inverse_now
+    elapsed = np.diff(steps.when, prepend=steps.when[:1])
+    keep = 1.0 - noise.roll_gain[0]
+    U = np.zeros((steps.when.size, 1, c))
+    U[:, 0, 0] = keep * total[:, 1] - noise.lever[0] * spin
+    U[:, 0, 1 + 0], U[:, 0, 1 + 2] = -keep * total[:, 2], keep * total[:, 0]
+    U[:, 0, 1 + 4] = -total[:, 3]
+    U[:, 0, 1 + ROLL_GAIN] = -total[:, 1]
+    U[:, 0, 1 + LEVER_X] = -spin
+    lost = steps.broken | np.isnan(record.fixes.course) | (elapsed > 3.0)
+    Phi, Q, H, r = yaw_system(record.fixes, steps, noise, total, lost)
+    Y = np.zeros((steps.when.size, 1, c))
+    Y[:, 0, 0] = np.nan_to_num(record.fixes.course)
+    Y[:, 0, 1 + COURSE_LAG] = w
+    Y[:, 0, 1 + ANTENNA_X] = -w * inverse_now
+    P0 = np.diag([100.0, noise.bank**2, noise.speed_slow**2])
+    return Channel(np.zeros(3), P0, Phi, Q, np.array([0]), U, H, Y, r, np.array([2.0 * np.pi]))
+
+
+def yaw_system(
+    fixes: Fixes, steps: Steps, noise: Noise, total: Floats, lost: Flags
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """Transition, noise and measurement rows of the yaw plane."""
+    count = fixes.t.size
+    Phi, Q = np.zeros((count, 3, 3)), np.zeros((count, 3, 3))
+    Phi[:, 0, 0] = 1.0
+    Phi[:, 0, 1] = -GRAVITY * total[:, 3]
+    along = np.exp(-steps.distance / noise.bank_length)
+    Phi[:, 1, 1], Q[:, 1, 1] = along, (1.0 - along**2) * noise.bank**2
+    elapsed = np.diff(steps.when, prepend=steps.when[:1])
+    decay, fresh = _slow(elapsed, noise.slow_time)
+    Phi[:, 2, 2], Q[:, 2, 2] = decay, fresh * noise.speed_slow**2
+    slack = np.where(steps.dt > 0.0, total[:, 3] ** 2 / np.maximum(steps.dt, 1e-3), 0.0)
+    Q[:, 0, 0] = noise.force**2 * slack + (noise.relative * total[:, 1]) ** 2 + np.where(lost, 100.0, 0.0)
+    inverse = 1.0 / np.maximum(fixes.speed, FLOOR_SPEED)
+    H = np.zeros((count, 1, 3))
+    H[:, 0, 0], H[:, 0, 2] = 1.0, inverse
+    r = np.where(np.isfinite(fixes.course), (noise.speed_white * inverse) ** 2 + 1e-6, np.nan)[:, None]
+    return Phi, Q, H, r
+
+
+def prior(noise: Noise, lags: tuple[float, float]) -> tuple[Floats, Floats]:
+    """Information (diagonal) and mean of the unknowns before the drive; the turn has none."""
+    deviation = np.full(UNKNOWNS, np.inf)
+    mean = np.zeros(UNKNOWNS)
+    deviation[BIAS] = noise.bias
+    deviation[[PITCH_GAIN, ROLL_GAIN]] = noise.pitch_gain[1], noise.roll_gain[1]
+    deviation[[LEVER_X, LEVER_Y, ANTENNA_X]] = noise.lever[1], noise.lever_side, noise.antenna
+    deviation[[SPEED_LAG, COURSE_LAG]] = noise.lag[1]
+    mean[[SPEED_LAG, COURSE_LAG]] = noise.lag[0] - lags[0], noise.lag[0] - lags[1]
+    return 1.0 / deviation**2, mean
+
+
+def blocks_of(t: Floats, origin: float, length: float) -> Integers:
+    """Number of the stretch of `length` seconds that each time falls into."""
+    return np.maximum(np.floor((t - origin) / length), 0).astype(np.int64)

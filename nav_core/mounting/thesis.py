@@ -1,0 +1,269 @@
+"""The thesis' estimator: its Kalman filter and the program around it, from a drive to a mounting (001 ch. 4-6).
+
+`run_thesis` gives everything that figures and later analysis need, `estimate_thesis` the product's answer.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from nav_core.errors import TooLittleDataError
+from nav_core.mounting.thesis_flow import TEST_DURATION, TEST_LIMIT, WINDOW, FlowChart, follow_flow_chart
+from nav_core.mounting.thesis_kernel import N_STATES, filter_drive, restart_vehicle
+from nav_core.mounting.thesis_model import (
+    LEVEL_TILT,
+    MOVING,
+    THESIS_PERIOD,
+    UNKNOWN_YAW,
+    Errata,
+    ErrataName,
+    Steps,
+    Tuning,
+    errata_named,
+    measurement_vectors,
+)
+from nav_core.records import Drive, MountingEstimate, Reason, SelfTest
+from nav_core.typing import Floats
+
+LEVELLING = 5.0
+"""s of specific force that level the corrected start."""
+
+CONVERGED = np.radians(2.0)
+"""rad; the sigma of `converged_after`."""
+
+REASONS = {
+    "no_fix": "No usable satellite fixes with accelerometer data yet.",
+    "not_moving": "The vehicle has not moved yet: drive off.",
+    "too_short": "Drive on: the moving average needs {0:.0f} more samples.",
+    "no_turns": "Make a few turns at junctions or a roundabout.",
+    "not_stable": "The estimate still moves: drive on with some turns and braking.",
+    "self_test_running": "Checking the estimate against GPS speed: drive on for {0:.0f} s.",
+    "self_test_failed": "The estimate failed its check against GPS speed by {0:.1f} m/s: drive on.",
+    "filter_lost": "The filter lost the vehicle after {0:.0f} s.",
+}
+"""What each status means to a driver; a number fills the braces."""
+
+
+class Start(NamedTuple):
+    """State, covariance and reference quaternions before the first row."""
+
+    x: Floats
+    P: Floats
+    q_V: Floats
+    q_A: Floats
+
+
+class History(NamedTuple):
+    """The filter after each row; NaN from the row on at which it was lost.
+
+    Attributes
+    ----------
+    q_A, q_V : ndarray, shape (n, 4)
+        Reference quaternions (x, y, z, w) of ``R_va`` and ``R_tv``.
+    motion : ndarray, shape (n, 3)
+        v_x [m/s], a_x [m/s²], omega_z [rad/s].
+    mounting_covariance : ndarray, shape (n, 3, 3)
+        Of the small rotation about the V axes, rad².  The factor 2 in 4.25 makes `a_A` the rotation vector
+        to second order, so it is the block of P as it stands.
+    largest_eigenvalue : ndarray, shape (n,)
+        Of ``n P / tr P`` (5.3), between 1 and n = 9, in the mixed SI units of the state; looked at once a second.
+    chi2 : ndarray, shape (n,)
+        Squared normalised innovations of the row, summed over its seven measurements.
+    """
+
+    q_A: Floats
+    q_V: Floats
+    motion: Floats
+    mounting_covariance: Floats
+    largest_eigenvalue: Floats
+    chi2: Floats
+
+    @property
+    def observability(self) -> Floats:
+        """``(1 - lmax / trace) n / (n - 1)``, 0..1 with 1 for well observed, shape (n,)."""
+        return (1.0 - self.largest_eigenvalue / N_STATES) * N_STATES / (N_STATES - 1.0)
+
+
+class ThesisRun(NamedTuple):
+    """A drive through the thesis' program."""
+
+    steps: Steps
+    history: History
+    flow: FlowChart
+    done: int
+    """Rows before the filter was lost; all of them unless the equations are the printed ones."""
+
+
+def initial_state(steps: Steps, tuning: Tuning, errata: Errata) -> Start:
+    """Start values of 001 §5.2, or their correction.
+
+    Printed: x = 0, both quaternions the identity, ``P = Q_w``.  Corrected (`errata.start`): the vehicle level and
+    on its course at its speed, the box levelled by the first seconds of specific force with its yaw unknown.
+
+    Parameters
+    ----------
+    steps : Steps
+    tuning : Tuning
+    errata : Errata
+
+    Returns
+    -------
+    Start
+    """
+    x, P = np.zeros(N_STATES), np.zeros((N_STATES, N_STATES))
+    q_V, q_A = np.array([0.0, 0.0, 0.0, 1.0]), np.array([0.0, 0.0, 0.0, 1.0])
+    if errata.start:
+        restart_vehicle(x, P, q_V, steps.velocity[0], float(steps.speed[0]))
+        first = steps.t <= steps.t[0] + LEVELLING
+        q_A = levelled(steps.f[first].mean(axis=0))
+        P[6:, 6:] = np.diag([LEVEL_TILT**2, LEVEL_TILT**2, UNKNOWN_YAW**2])
+        return Start(x, P, q_V, q_A)
+    T = THESIS_PERIOD
+    P[:2, :2] = tuning.acceleration * np.array([[T**3 / 3.0, T**2 / 2.0], [T**2 / 2.0, T]])
+    P[2:, 2:] = np.diag([tuning.turn, *[tuning.attitude] * 3, *[tuning.mounting] * 3])
+    return Start(x, P, q_V, q_A)
+
+
+def levelled(f_a: Floats) -> Floats:
+    """Quaternion of the shortest rotation that takes a specific force at rest to the V-frame's ``-z``.
+
+    Parameters
+    ----------
+    f_a : ndarray, shape (3,)
+        Mean specific force, m/s².
+
+    Returns
+    -------
+    ndarray, shape (4,)
+        (x, y, z, w); its yaw is arbitrary.
+    """
+    up = f_a / np.linalg.norm(f_a)
+    cross = np.cross(up, [0.0, 0.0, -1.0])
+    q = np.array([*cross, 1.0 - up[2]])
+    if np.linalg.norm(q) < 1e-6:
+        return np.array([1.0, 0.0, 0.0, 0.0])
+    return q / np.linalg.norm(q)
+
+
+def run_thesis(
+    drive: Drive,
+    *,
+    errata: ErrataName | Errata = "corrected",
+    tuning: Tuning | None = None,
+    start: Start | None = None,
+) -> ThesisRun:
+    """Run the thesis' filter and program over a drive and keep everything.
+
+    Parameters
+    ----------
+    drive : Drive
+    errata : {"corrected", "printed"} or Errata
+    tuning : Tuning, optional
+        Default: table 5.1.
+    start : Start, optional
+        Default: `initial_state`.
+
+    Returns
+    -------
+    ThesisRun
+
+    Raises
+    ------
+    TooLittleDataError
+        Fewer than two usable fixes.
+    """
+    chosen, tuned = errata_named(errata), tuning or Tuning()
+    steps = measurement_vectors(drive, chosen)
+    begin = start or initial_state(steps, tuned, chosen)
+    done, *columns = filter_drive(steps, *(a.copy() for a in begin), tuned, chosen)
+    history = History(*columns)
+    return ThesisRun(steps, history, follow_flow_chart(steps, history.q_A), done)
+
+
+def estimate_thesis(drive: Drive, *, errata: ErrataName | Errata = "corrected") -> MountingEstimate:
+    """Mounting by the thesis' filter and program.
+
+    Parameters
+    ----------
+    drive : Drive
+    errata : {"corrected", "printed"} or Errata
+        The printed equations are kept for comparison; see docs/equations.md.
+
+    Returns
+    -------
+    MountingEstimate
+        `ready`: a mounting saved when STABLE and RELIABLE met has passed the test routine, and the program ended
+        there.  `settling`: the latest moving average, after a curve.  `insufficient`: before that; on a straight
+        road this filter cannot tell the box's yaw from the vehicle's.  The covariance is the filter's own, which
+        knows nothing of accelerometer bias and of the road's persistent bank.
+    """
+    try:
+        run = run_thesis(drive, errata=errata)
+    except TooLittleDataError:
+        return MountingEstimate("insufficient", "mekf", reasons=(_reason("no_fix"),))
+    flow, last = run.flow, run.done - 1
+    seen = flow.trials[-1].saved if flow.finished is not None else last
+    trial = flow.trials[-1] if flow.trials else None
+    reliable = bool(trial) or bool(last >= 0 and flow.reliable[last])
+    stable = bool(last >= 0 and flow.stable[last]) or flow.finished is not None
+    known = run.done == run.steps.t.size and reliable and bool(np.isfinite(flow.mean[seen, 0]))
+    test = None
+    if trial is not None and trial.complete:
+        test = SelfTest(trial.passed, trial.drift, trial.duration)
+    progress = 0.3 * min(1.0, run.done / WINDOW) + 0.2 * stable + 0.2 * reliable
+    if trial is not None and not trial.complete:
+        progress += 0.3 * min(1.0, trial.duration / TEST_DURATION)
+    status = "ready" if flow.finished is not None else "settling" if known else "insufficient"
+    return MountingEstimate(
+        status,
+        "mekf",
+        R_va=Rotation.from_quat(flow.mean[seen]).as_matrix() if known else None,
+        covariance=run.history.mounting_covariance[seen] if known else None,
+        progress=1.0 if status == "ready" else min(progress, 0.95),
+        observability=float(run.history.observability[seen]) if last >= 0 else None,
+        stable=stable,
+        reliable=reliable,
+        self_test=test,
+        converged_after=_converged_after(run),
+        reasons=_reasons(run),
+    )
+
+
+def _converged_after(run: ThesisRun) -> float | None:
+    """Time from the first row, the first moving fix, until every sigma stays under 2°, s."""
+    wide = np.einsum("kii->ki", run.history.mounting_covariance).max(axis=1) >= CONVERGED**2
+    wide |= ~np.isfinite(run.history.chi2)
+    first = int(np.flatnonzero(wide)[-1]) + 1 if wide.any() else 0
+    return None if first == wide.size else float(run.steps.t[first] - run.steps.t[0])
+
+
+def _reasons(run: ThesisRun) -> tuple[Reason, ...]:
+    """What keeps the estimate from being ready."""
+    flow, n = run.flow, run.steps.t.size
+    if flow.finished is not None:
+        return ()
+    if run.done < n:
+        return (_reason("filter_lost", float(run.steps.t[run.done] - run.steps.t[0])),)
+    if run.steps.speed.max() < MOVING:
+        return (_reason("not_moving"),)
+    reasons: list[Reason] = []
+    if n < WINDOW:
+        reasons.append(_reason("too_short", WINDOW - n))
+    if flow.trials:
+        trial = flow.trials[-1]
+        if trial.complete:
+            reasons.append(_reason("self_test_failed", trial.drift))
+        else:
+            reasons.append(_reason("self_test_running", max(TEST_DURATION - trial.duration, 0.0)))
+    if not flow.reliable[-1]:
+        reasons.append(_reason("no_turns"))
+    if n >= WINDOW and not flow.stable[-1]:
+        reasons.append(_reason("not_stable"))
+    return tuple(reasons)
+
+
+def _reason(code: str, number: float = 0.0) -> Reason:
+    return Reason(code, REASONS[code].format(number))

@@ -1,0 +1,180 @@
+"""Least squares with coloured noise: a Kalman filter as the whitener.
+
+The unknowns `p` (mounting, biases, gains, lags) enter the motion of a car linearly, the road and
+the receiver add coloured noise.  One filter pass over the *sensitivities* to `p`, beside the state
+itself, leaves innovations ``e0 - E p`` that are white; their sums of products hold all that the
+recording says about `p`.  The sums of different stretches add up, which is what the split-half
+test, the search for a moved box and the history of convergence live on.
+
+References
+----------
+P. de Jong, "The diffuse Kalman filter", Annals of Statistics 19 (1991).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from nav_core.typing import Floats, Integers, kernel
+
+
+class Channel(NamedTuple):
+    """A linear system whose inputs and measurements depend linearly on the unknowns.
+
+    With `n` states, `d` driven states, `k` scalar measurements, ``c = 1 + unknowns`` and `N` steps;
+    column 0 is the value at ``p = 0``, column `j` the derivative with respect to unknown `j`.
+    """
+
+    x0: Floats
+    """Initial state, shape (n,)."""
+    P0: Floats
+    """Its covariance, shape (n, n)."""
+    Phi: Floats
+    """Transition into each step, shape (N, n, n)."""
+    Q: Floats
+    """Process noise, shape (N, n, n)."""
+    driven: Integers
+    """States that have an input, shape (d,)."""
+    U: Floats
+    """Inputs, shape (N, d, c)."""
+    H: Floats
+    """Measurement rows, shape (N, k, n)."""
+    Y: Floats
+    """Column 0: measured value; column j: derivative of ``-prediction``, without the state's; (N, k, c)."""
+    r: Floats
+    """Measurement variance, NaN where there is none, shape (N, k)."""
+    period: Floats
+    """Period of each measurement (2 pi for an angle), 0 for none, shape (k,)."""
+
+
+class Evidence(NamedTuple):
+    """Sums of products of whitened innovations ``[e0, E]``, by stretch and kind of measurement."""
+
+    gram: Floats
+    """shape (blocks, k, c, c)."""
+    count: Floats
+    """Measurements, shape (blocks, k)."""
+    log_det: Floats
+    """Sum of log innovation variances, shape (blocks, k)."""
+
+
+def _whiten(
+    x0: Floats,
+    P0: Floats,
+    Phi: Floats,
+    Q: Floats,
+    driven: Integers,
+    U: Floats,
+    H: Floats,
+    Y: Floats,
+    r: Floats,
+    period: Floats,
+    block: Integers,
+    p: Floats,
+    limit: float,
+    gram: Floats,
+    count: Floats,
+    log_det: Floats,
+) -> None:
+    steps, n = Phi.shape[0], Phi.shape[1]
+    k, c = Y.shape[1], Y.shape[2]
+    X, X1 = np.zeros((n, c)), np.zeros((n, c))
+    X[:, 0] = x0
+    P, M = P0.copy(), np.zeros((n, n))
+    e, PH = np.zeros(c), np.zeros(n)
+    for i in range(steps):
+        X1[:, :] = 0.0
+        M[:, :] = 0.0
+        for a in range(n):
+            for b in range(n):
+                g = Phi[i, a, b]
+                if g != 0.0:
+                    for j in range(c):
+                        X1[a, j] += g * X[b, j]
+                    for j in range(n):
+                        M[a, j] += g * P[b, j]
+        for d in range(driven.size):
+            for j in range(c):
+                X1[driven[d], j] += U[i, d, j]
+        X[:, :] = X1
+        P[:, :] = Q[i]
+        for b in range(n):
+            for l in range(n):
+                g = Phi[i, b, l]
+                if g != 0.0:
+                    for a in range(n):
+                        P[a, b] += M[a, l] * g
+        for m in range(k):
+            if not np.isfinite(r[i, m]):
+                continue
+            S = r[i, m]
+            for a in range(n):
+                PH[a] = 0.0
+                for b in range(n):
+                    PH[a] += P[a, b] * H[i, m, b]
+                S += H[i, m, a] * PH[a]
+            for j in range(c):
+                e[j] = Y[i, m, j]
+                for a in range(n):
+                    e[j] -= H[i, m, a] * X[a, j]
+            residual = e[0]
+            for j in range(1, c):
+                # columns of e are derivatives of the innovation
+                residual += e[j] * p[j - 1]
+            if period[m] > 0.0:
+                turns = period[m] * np.round(residual / period[m])
+                e[0] -= turns
+                residual -= turns
+            size = np.abs(residual) / np.sqrt(S)
+            if size > limit:
+                S *= size / limit  # Huber: the pull of an outlier stays that of one at the limit
+            for a in range(n):
+                gain = PH[a] / S
+                for j in range(c):
+                    X[a, j] += gain * e[j]
+            for a in range(n):
+                gain = PH[a] / S
+                for b in range(n):
+                    P[a, b] -= gain * PH[b]
+            z = block[i]
+            for a in range(c):
+                scaled = e[a] / S
+                for j in range(a + 1):
+                    gram[z, m, a, j] += scaled * e[j]
+            count[z, m] += 1.0
+            log_det[z, m] += np.log(S)
+
+
+_whiten_fast = kernel(_whiten)
+
+
+def whiten(
+    channel: Channel, block: Integers, blocks: int, p: Floats, *, limit: float = np.inf, compiled: bool = True
+) -> Evidence:
+    """Run the whitening filter over one channel.
+
+    Parameters
+    ----------
+    channel : Channel
+    block : ndarray of int, shape (N,)
+        Which stretch each step belongs to.
+    blocks : int
+    p : ndarray, shape (c - 1,)
+        Where the unknowns stand now; only the robust weights and the wrapping of angles use it.
+    limit : float
+        Innovations beyond this many sigmas are weighted down (Huber); infinite for none.
+    compiled : bool
+        False runs the same steps as plain Python, for tests.
+
+    Returns
+    -------
+    Evidence
+    """
+    k, c = channel.Y.shape[1], channel.Y.shape[2]
+    gram, count, log_det = np.zeros((blocks, k, c, c)), np.zeros((blocks, k)), np.zeros((blocks, k))
+    run = _whiten_fast if compiled else _whiten
+    run(*channel, block, p, float(limit), gram, count, log_det)
+    upper = np.tril(gram, -1)
+    return Evidence(gram + np.swapaxes(upper, -1, -2), count, log_det)

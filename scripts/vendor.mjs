@@ -1,0 +1,118 @@
+// Fills web/vendor from the pinned development packages (`make vendor`), so that no page ever
+// asks another host for anything.  web/vendor/MANIFEST.json names every file with its origin,
+// version, licence and SHA-256; tests/server/test_vendor.py holds the files to it.
+
+import { createHash } from "node:crypto";
+import { cpSync, mkdirSync, readFileSync, readdirSync, rmSync, writeFileSync } from "node:fs";
+import { dirname, join, resolve } from "node:path";
+import { fileURLToPath } from "node:url";
+
+import { feature, mesh } from "topojson-client";
+
+const ROOT = resolve(dirname(fileURLToPath(import.meta.url)), "..");
+const MODULES = join(ROOT, "node_modules");
+const VENDOR = join(ROOT, "web", "vendor");
+
+const PACKAGES = [
+  {
+    name: "maplibre-gl",
+    licence: "BSD-3-Clause",
+    copy: {
+      "dist/maplibre-gl.mjs": "maplibre-gl.mjs",
+      "dist/maplibre-gl-worker.mjs": "maplibre-gl-worker.mjs",
+      "dist/maplibre-gl.css": "maplibre-gl.css",
+      "LICENSE.txt": "LICENSE.txt",
+    },
+  },
+  {
+    name: "uplot",
+    licence: "MIT",
+    copy: {
+      "dist/uPlot.esm.js": "uplot.mjs",
+      "dist/uPlot.min.css": "uplot.css",
+      LICENSE: "LICENSE",
+    },
+  },
+  {
+    // Natural Earth (public domain), packaged under the ISC licence.
+    name: "world-atlas",
+    licence: "ISC",
+    copy: { LICENSE: "LICENSE" },
+    derive: worldOutline,
+  },
+];
+
+/** Two decimals are about a kilometre, finer than the 1:50 000 000 source is drawn. */
+const round = (/** @type {number} */ degrees) => Math.round(degrees * 100) / 100;
+
+/** Rounded points of a line without the repeats that rounding makes. */
+function thin(/** @type {number[][]} */ line) {
+  const points = line.map(([lon, lat]) => [round(lon), round(lat)]);
+  return points.filter((p, i) => i === 0 || p[0] !== points[i - 1][0] || p[1] !== points[i - 1][1]);
+}
+
+/** Polygons of a geometry, thinned; rings that collapse are left out. */
+function polygons(geometry) {
+  const parts = geometry.type === "MultiPolygon" ? geometry.coordinates : [geometry.coordinates];
+  return parts.map((rings) => rings.map(thin).filter((ring) => ring.length >= 4)).filter((rings) => rings.length > 0);
+}
+
+/** Signed area (degrees squared) and centroid of a ring. */
+function centroid(ring) {
+  let area = 0, lon = 0, lat = 0;
+  for (let i = 0; i + 1 < ring.length; i++) {
+    const cross = ring[i][0] * ring[i + 1][1] - ring[i + 1][0] * ring[i][1];
+    area += cross / 2;
+    lon += ((ring[i][0] + ring[i + 1][0]) * cross) / 6;
+    lat += ((ring[i][1] + ring[i + 1][1]) * cross) / 6;
+  }
+  return { area: Math.abs(area), point: [round(lon / area), round(lat / area)] };
+}
+
+/** Land, borders and country names as GeoJSON. */
+function worldOutline() {
+  const world = JSON.parse(readFileSync(join(MODULES, "world-atlas", "countries-50m.json"), "utf8"));
+  const land = feature(world, world.objects.land);
+  const shapes = "features" in land ? land.features : [land];
+  const borders = mesh(world, world.objects.countries, (a, b) => a !== b);
+  const names = feature(world, world.objects.countries).features.map((country) => {
+    const largest = polygons(country.geometry)
+      .map(([outer]) => centroid(outer))
+      .reduce((a, b) => (b.area > a.area ? b : a));
+    return {
+      type: "Feature",
+      properties: { name: country.properties.name, rank: Math.round(largest.area) },
+      geometry: { type: "Point", coordinates: largest.point },
+    };
+  });
+  const collection = (features) => ({ type: "FeatureCollection", features });
+  const single = (geometry) => collection([{ type: "Feature", properties: {}, geometry }]);
+  return {
+    "land.geojson": single({ type: "MultiPolygon", coordinates: shapes.flatMap((s) => polygons(s.geometry)) }),
+    "borders.geojson": single({
+      type: "MultiLineString",
+      coordinates: borders.coordinates.map(thin).filter((line) => line.length > 1),
+    }),
+    "names.geojson": collection(names),
+  };
+}
+
+const sha256 = (path) => createHash("sha256").update(readFileSync(path)).digest("hex");
+
+function main() {
+  rmSync(VENDOR, { recursive: true, force: true });
+  const manifest = PACKAGES.map(({ name, licence, copy, derive }) => {
+    const target = join(VENDOR, name);
+    mkdirSync(target, { recursive: true });
+    for (const [from, to] of Object.entries(copy)) cpSync(join(MODULES, name, from), join(target, to));
+    for (const [file, content] of Object.entries(derive?.() ?? {})) {
+      writeFileSync(join(target, file), `${JSON.stringify(content)}\n`);
+    }
+    const files = readdirSync(target).sort();
+    const { version } = JSON.parse(readFileSync(join(MODULES, name, "package.json"), "utf8"));
+    return { name, version, licence, files: files.map((file) => ({ path: `${name}/${file}`, sha256: sha256(join(target, file)) })) };
+  });
+  writeFileSync(join(VENDOR, "MANIFEST.json"), `${JSON.stringify(manifest, null, 2)}\n`);
+}
+
+main();

@@ -1,0 +1,40 @@
+"""What routes take from the application, typed."""
+
+from __future__ import annotations
+
+import datetime as dt
+from collections.abc import Callable
+from typing import Annotated, cast
+
+from fastapi import Depends
+from starlette.requests import HTTPConnection
+
+from server.database import Database
+from server.settings import Settings
+from server.store import BlobStore
+
+Clock = Callable[[], dt.datetime]
+Wake = Callable[[str], None]
+
+
+async def _settings(connection: HTTPConnection) -> Settings:
+    return cast("Settings", connection.app.state.settings)
+
+
+async def _database(connection: HTTPConnection) -> Database:
+    return cast("Database", connection.app.state.database)
+
+
+async def _store(connection: HTTPConnection) -> BlobStore:
+    return cast("BlobStore", connection.app.state.store)
+
+
+async def _now(connection: HTTPConnection) -> dt.datetime:
+    return cast("Clock", connection.app.state.clock)()
+
+
+# These are coroutines so that the framework calls them in place; a plain function costs a thread.
+SettingsOf = Annotated[Settings, Depends(_settings)]
+DatabaseOf = Annotated[Database, Depends(_database)]
+StoreOf = Annotated[BlobStore, Depends(_store)]
+Now = Annotated[dt.datetime, Depends(_now)]

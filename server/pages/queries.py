@@ -1,0 +1,217 @@
+"""What the pages show, read once: a fixed number of statements whatever the size of the fleet."""
+
+from __future__ import annotations
+
+import datetime as dt
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from sqlalchemy import func, select
+from sqlalchemy.orm import Session
+
+from server.errors import NotFoundError
+from server.models import Device, DeviceState, Installation, MountingRevision, Trip, Vehicle
+from server.pages.words import (
+    LIVE_WITHIN,
+    MOVED_IS_NEWS_FOR,
+    SILENT_AFTER,
+    Standing,
+    angle_to_reference,
+    standing,
+)
+
+TRIPS_SHOWN = 50
+REVISIONS_SHOWN = 200
+
+
+@dataclass(frozen=True)
+class Box:
+    """A box, the vehicle that carries it, and the newest of everything known about it."""
+
+    device: Device
+    vehicle: Vehicle | None
+    state: DeviceState | None
+    installation: Installation | None
+    standing: Standing
+    distance_m: float
+    """Over all trips of the box."""
+    reporting: bool
+    silent: bool
+    moved_lately: bool
+
+    @property
+    def name(self) -> str:
+        return self.vehicle.name if self.vehicle else self.device.name
+
+    @property
+    def url(self) -> str:
+        return f"/vehicles/{self.vehicle.id}" if self.vehicle else f"/devices/{self.device.id}"
+
+    @property
+    def mark(self) -> str:
+        """State for the map; a box that is silent is unknown, whatever it was before."""
+        return "unknown" if self.silent else self.standing.state
+
+    @property
+    def reasons(self) -> Sequence[str]:
+        """What is still missing, as sentences for the driver."""
+        return self.installation.result.get("reasons", []) if self.installation else []
+
+
+@dataclass(frozen=True)
+class Fleet:
+    boxes: list[Box]
+    empty_vehicles: list[Vehicle]
+    """Vehicles without a box."""
+
+    @property
+    def reporting(self) -> int:
+        return sum(box.reporting for box in self.boxes)
+
+    @property
+    def attention(self) -> list[tuple[str, str, str, list[Box]]]:
+        """Tiles: state for colour and shape, heading, what it means, whom it concerns."""
+        loose = [box for box in self.boxes if box.standing.state == "alarm"]
+        moved = [box for box in self.boxes if box.moved_lately]
+        silent = [box for box in self.boxes if box.silent]
+        waiting = [box for box in self.boxes if not box.standing.calibrated and box.standing.state != "alarm"]
+        return [
+            ("alarm", "Not fixed", "the box swings or lies loose", loose),
+            ("attention", "Moved", "the box was turned in its vehicle", moved),
+            ("unknown", "Silent", "no word for a day, or never", silent),
+            ("attention", "Not calibrated", "still learning how the box sits", waiting),
+        ]
+
+
+@dataclass(frozen=True)
+class BoxPage:
+    """Everything on the page of one box, and the history of its vehicle."""
+
+    box: Box
+    installations: list[Installation]
+    revisions: list[MountingRevision]
+    trips: list[Trip]
+    reference_angle_deg: float | None
+    known_mountings: int
+
+
+def fleet(session: Session, organisation_id: str, *, now: dt.datetime) -> Fleet:
+    """All boxes and vehicles of an organisation, by name."""
+    boxes = _boxes(session, organisation_id, now=now)
+    carried = {box.vehicle.id for box in boxes if box.vehicle}
+    vehicles = session.scalars(select(Vehicle).where(Vehicle.organisation_id == organisation_id).order_by(Vehicle.name))
+    return Fleet(boxes, [vehicle for vehicle in vehicles if vehicle.id not in carried])
+
+
+def vehicle_page(
+    session: Session, organisation_id: str, vehicle_id: str, *, now: dt.datetime
+) -> tuple[Vehicle, BoxPage | None, int]:
+    """A vehicle, the page of the box in it if there is one, and how many boxes it carries."""
+    vehicle = session.get(Vehicle, vehicle_id)
+    if vehicle is None or vehicle.organisation_id != organisation_id:
+        raise NotFoundError(f"no vehicle {vehicle_id}")
+    boxes = _boxes(session, organisation_id, now=now, vehicle_id=vehicle_id)
+    if not boxes:
+        return vehicle, None, 0
+    newest = max(boxes, key=lambda box: box.device.last_seen_at or box.device.created_at)
+    return vehicle, _page(session, newest), len(boxes)
+
+
+def device_page(session: Session, organisation_id: str, device_id: str, *, now: dt.datetime) -> BoxPage:
+    """The page of one box."""
+    boxes = _boxes(session, organisation_id, now=now, device_id=device_id)
+    if not boxes:
+        raise NotFoundError(f"no device {device_id}")
+    return _page(session, boxes[0])
+
+
+def _page(session: Session, box: Box) -> BoxPage:
+    of_box = Installation.device_id == box.device.id
+    here = of_box if box.vehicle is None else of_box | (Installation.vehicle_id == box.vehicle.id)
+    installations = session.scalars(select(Installation).where(here).order_by(Installation.began_at.desc()))
+    revisions: Sequence[MountingRevision] = ()
+    if box.installation is not None:
+        revisions = session.scalars(
+            select(MountingRevision)
+            .where(MountingRevision.installation_id == box.installation.id)
+            .order_by(MountingRevision.data_at.desc())
+            .limit(REVISIONS_SHOWN)
+        ).all()
+    carrier = Trip.device_id == box.device.id if box.vehicle is None else Trip.vehicle_id == box.vehicle.id
+    trips = session.scalars(select(Trip).where(carrier).order_by(Trip.began_at.desc()).limit(TRIPS_SHOWN))
+    result: dict[str, Any] = box.installation.result if box.installation else {}
+    references = box.device.reference_mountings
+    return BoxPage(
+        box,
+        list(installations),
+        list(reversed(revisions)),
+        list(trips),
+        angle_to_reference(result, references),
+        len(references),
+    )
+
+
+def _boxes(
+    session: Session,
+    organisation_id: str,
+    *,
+    now: dt.datetime,
+    vehicle_id: str | None = None,
+    device_id: str | None = None,
+) -> list[Box]:
+    """Boxes in use, with vehicle, state and open installation; revoked ones only when asked for by id."""
+    distance = (
+        select(Trip.device_id, func.sum(Trip.distance_m).label("metres"))
+        .where(Trip.organisation_id == organisation_id)
+        .group_by(Trip.device_id)
+        .subquery()
+    )
+    statement = (
+        select(Device, Vehicle, DeviceState, Installation, distance.c.metres)
+        .outerjoin(Vehicle, Vehicle.id == Device.vehicle_id)
+        .outerjoin(DeviceState, DeviceState.device_id == Device.id)
+        .outerjoin(Installation, (Installation.device_id == Device.id) & Installation.ended_at.is_(None))
+        .outerjoin(distance, distance.c.device_id == Device.id)
+        .where(Device.organisation_id == organisation_id)
+        .order_by(func.coalesce(Vehicle.name, Device.name), Device.name, Installation.began_at)
+    )
+    if vehicle_id is not None:
+        statement = statement.where(Device.vehicle_id == vehicle_id)
+    statement = statement.where(Device.id == device_id) if device_id else statement.where(Device.revoked_at.is_(None))
+    boxes = {
+        device.id: _box(device, vehicle, state, installation, metres or 0.0, now=now)
+        for device, vehicle, state, installation, metres in session.execute(statement)
+    }
+    return list(boxes.values())
+
+
+def _box(
+    device: Device,
+    vehicle: Vehicle | None,
+    state: DeviceState | None,
+    installation: Installation | None,
+    distance_m: float,
+    *,
+    now: dt.datetime,
+) -> Box:
+    moved = installation is not None and installation.beginning == "moved"
+    how = (
+        standing(None, {}, progress=0.0, moved=False)
+        if installation is None
+        else standing(installation.status, installation.result, progress=installation.progress, moved=moved)
+    )
+    quiet_for = None if device.last_seen_at is None else now - device.last_seen_at
+    return Box(
+        device=device,
+        vehicle=vehicle,
+        state=state,
+        installation=installation,
+        standing=how,
+        distance_m=distance_m,
+        reporting=quiet_for is not None and quiet_for < LIVE_WITHIN,
+        silent=quiet_for is None or quiet_for > SILENT_AFTER,
+        moved_lately=installation is not None
+        and moved
+        and (not how.calibrated or now - installation.updated_at < MOVED_IS_NEWS_FOR),
+    )

@@ -1,0 +1,76 @@
+"""From a stored mounting result to the words, shape and colour that a person reads; no session, no clock."""
+
+from __future__ import annotations
+
+import datetime as dt
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+State = Literal["good", "attention", "alarm", "unknown"]
+
+SILENT_AFTER = dt.timedelta(hours=24)
+"""A parked vehicle's box sleeps; a whole day without a word is worth a look."""
+MOVED_IS_NEWS_FOR = dt.timedelta(days=7)
+"""How long a moved box stays in the list of what needs attention once it is calibrated again."""
+LIVE_WITHIN = dt.timedelta(minutes=2)
+
+
+@dataclass(frozen=True)
+class Standing:
+    """How a box stands with its calibration, in the words of the driver."""
+
+    state: State
+    headline: str
+    percent: int
+    sigma_deg: float | None
+    """The largest of the three, 1-sigma."""
+    moved: bool
+    calibrated: bool
+
+
+def standing(status: str | None, result: Mapping[str, Any], *, progress: float, moved: bool) -> Standing:
+    """Words for an installation; `status` None means that there is none yet."""
+    percent = 100 if status == "ready" else math.floor(100 * min(max(progress, 0.0), 1.0))
+    sigma = largest_sigma(result)
+    words: dict[str | None, tuple[State, str]] = {
+        "ready": ("good", "Ready"),
+        "settling": ("attention", "Moved, calibrating again" if moved else "Calibrating"),
+        "not_fixed": ("alarm", "Box is not fixed"),
+    }
+    waiting: tuple[State, str] = (
+        ("attention", "Moved, not calibrated yet") if moved else ("unknown", "Not calibrated yet")
+    )
+    state, headline = words.get(status, waiting)
+    return Standing(state, headline, percent, sigma, moved, calibrated=status == "ready")
+
+
+def largest_sigma(result: Mapping[str, Any]) -> float | None:
+    """Largest 1-sigma over the vehicle's axes, degrees; None where the mounting is not known."""
+    sigma: Mapping[str, float] | None = result.get("sigma_deg")
+    return None if sigma is None else max(sigma["x"], sigma["y"], sigma["z"])
+
+
+def angle_to_reference(result: Mapping[str, Any], references: Sequence[Mapping[str, Any]]) -> float | None:
+    """Angle between the estimate and the latest known mounting, degrees; None unless both are known."""
+    estimate: Sequence[Sequence[float]] | None = result.get("R_va")
+    if estimate is None or not references:
+        return None
+    known: Sequence[Sequence[float]] = references[-1]["R_va"]
+    trace = sum(a * b for row, other in zip(estimate, known, strict=True) for a, b in zip(row, other, strict=True))
+    return math.degrees(math.acos(min(max((trace - 1.0) / 2.0, -1.0), 1.0)))
+
+
+BEGINNINGS = {
+    "first": "First installation",
+    "moved": "Box was moved",
+    "swapped": "Box came to this vehicle",
+    "manual": "Set by hand",
+}
+STATUSES = {
+    "ready": "Ready",
+    "settling": "Calibrating",
+    "insufficient": "Not calibrated yet",
+    "not_fixed": "Box is not fixed",
+}

@@ -1,0 +1,218 @@
+"""The viser scene of one box in its vehicle.
+
+viser's world has z up, the V-frame has z down.  The one place where they meet is the node
+``/vehicle``: everything below it is given in the V-frame.
+"""
+
+from __future__ import annotations
+
+import html
+
+import numpy as np
+import viser
+from scipy.spatial.transform import Rotation
+
+from nav_core.rotation import xyzw_to_wxyz
+from nav_core.typing import Floats
+from server.view3d.bodywork import BODIES, Body, creases, shell
+from server.view3d.uncertainty import cone
+from server.view3d.view import MountingView
+
+# V-frame to viser's world: half a turn about x, so forward stays forward and down becomes -z.
+R_WORLD_V = np.diag([1.0, -1.0, -1.0])
+
+AXIS_COLOURS = ((205, 24, 30), (10, 140, 60), (20, 80, 210))
+_STATE_COLOURS = {"good": "#1e9e54", "attention": "#c77700", "alarm": "#d63031", "unknown": "#7a828c"}
+_METAL, _GLASS, _RUBBER, _LINE = (96, 112, 130), (120, 140, 160), (62, 68, 76), (104, 116, 130)
+_BOX, _REFERENCE, _GHOST = (240, 140, 10), (150, 40, 200), (140, 146, 154)
+
+# The box is drawn larger than it is, or it would be a dot in the car.
+_BOX_SIZE = (0.60, 0.40, 0.20)
+_A_LENGTH, _V_MARGIN = 1.05, 0.65
+
+
+def wxyz(matrix: Floats) -> Floats:
+    """viser's quaternion of a rotation matrix, shape (4,)."""
+    return xyzw_to_wxyz(Rotation.from_matrix(matrix).as_quat())
+
+
+class MountingScene:
+    """Draws `MountingView`s on one viser server; shows the latest."""
+
+    def __init__(self, server: viser.ViserServer) -> None:
+        self._server = server
+        self._vehicle_class = ""
+        self._shown: MountingView | None = None
+        server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="small")
+        server.gui.set_panel_label("Mounting")
+        server.scene.configure_default_lights(enabled=False)
+        self._panel = server.gui.add_html("")
+        server.scene.add_grid(
+            "/ground", 16.0, 16.0, cell_size=1.0, section_size=4.0, cell_color=_LINE, section_color=_LINE,
+            cell_thickness=0.5, section_thickness=0.8, fade_distance=18.0, fade_strength=2.0, fade_from="origin",
+        )  # fmt: skip
+        server.scene.add_frame("/vehicle", show_axes=False, wxyz=wxyz(R_WORLD_V))
+
+    def show(self, view: MountingView) -> None:
+        """Bring the scene to this view; what did not change is left alone."""
+        if view == self._shown:
+            return
+        with self._server.atomic():
+            if view.vehicle_class != self._vehicle_class:
+                self._vehicle_class = view.vehicle_class
+                self._draw_vehicle(BODIES.get(view.vehicle_class, BODIES["car"]))
+            self._draw_box(view)
+            self._panel.content = panel_html(view)
+        self._server.flush()
+        self._shown = view
+
+    def _draw_vehicle(self, body: Body) -> None:
+        scene = self._server.scene
+        scene.add_frame("/vehicle/body", show_axes=False)
+        for index, loft in enumerate(body.lofts):
+            vertices, faces = shell(loft)
+            scene.add_mesh_simple(
+                f"/vehicle/body/shell{index}",
+                vertices.astype(np.float32),
+                faces,
+                color=_GLASS if loft.glass else _METAL,
+                opacity=0.05 if loft.glass else 0.16,
+                flat_shading=True,
+                side="double",
+            )
+            scene.add_line_segments(
+                f"/vehicle/body/lines{index}", creases(loft).astype(np.float32), _LINE, thickness=0.008
+            )
+        # A cylinder stands along z; half a quarter turn about x lays its axis across the vehicle.
+        across = wxyz(Rotation.from_euler("x", 90, degrees=True).as_matrix())
+        for index, wheel in enumerate(body.wheels):
+            place = (wheel.x, wheel.y, -wheel.radius)
+            name = f"/vehicle/body/wheel{index}"
+            scene.add_cylinder(name, wheel.radius, wheel.width, _RUBBER, wxyz=across, position=place)
+            scene.add_cylinder(
+                f"{name}hub", 0.55 * wheel.radius, wheel.width + 0.02, _GLASS, wxyz=across, position=place
+            )
+        self._draw_v_frame(body)
+        camera = self._server.initial_camera
+        reach = max(body.length, 3.6)
+        camera.fov = float(np.radians(40.0))
+        camera.look_at = (0.12 * body.length, 0.0, 0.45 * body.height)
+        camera.position = (0.95 * reach, -0.95 * reach, 0.45 * body.height + 0.62 * reach)
+
+    def _draw_v_frame(self, body: Body) -> None:
+        scene = self._server.scene
+        origin = np.array(body.box)
+        lengths = (
+            body.length / 2 + _V_MARGIN - origin[0],
+            body.width / 2 + _V_MARGIN - origin[1],
+            -origin[2],
+        )
+        scene.add_frame("/vehicle/body/v", show_axes=False, position=origin)
+        for axis, (name, length) in enumerate(zip(("x forward", "y right", "z down"), lengths, strict=True)):
+            tip = length * np.eye(3)[axis]
+            scene.add_arrows(
+                f"/vehicle/body/v/{name[0]}",
+                np.array([[np.zeros(3), tip]], dtype=np.float32),
+                AXIS_COLOURS[axis],
+                shaft_radius=0.026,
+                head_radius=0.075,
+                head_length=0.2,
+            )
+            scene.add_label(
+                f"/vehicle/body/v/{name[0]}_label", name, position=tip * 1.04, anchor="center-left",
+                font_screen_scale=1.1,
+            )  # fmt: skip
+
+    def _draw_box(self, view: MountingView) -> None:
+        scene = self._server.scene
+        body = BODIES.get(view.vehicle_class, BODIES["car"])
+        # Adding a node again removes the old one with all its children.
+        scene.add_frame("/vehicle/mounting", show_axes=False, position=body.box)
+        if view.R_va is None:
+            self._draw_ghost(view)
+        else:
+            self._draw_estimate(np.array(view.R_va), view)
+        if view.reference is not None:
+            R_va = np.array(view.reference)
+            scene.add_frame("/vehicle/mounting/reference", show_axes=False, wxyz=wxyz(R_va))
+            edges = box_edges(1.12)
+            scene.add_line_segments(
+                "/vehicle/mounting/reference/outline", edges.astype(np.float32), _REFERENCE, thickness=0.012
+            )
+            scene.add_label(
+                "/vehicle/mounting/reference/label", "reference", position=edges[0, 0], anchor="center-right"
+            )
+
+    def _draw_estimate(self, R_va: Floats, view: MountingView) -> None:
+        scene = self._server.scene
+        scene.add_frame("/vehicle/mounting/box", show_axes=False, wxyz=wxyz(R_va))
+        scene.add_box("/vehicle/mounting/box/case", _BOX, _BOX_SIZE)
+        scene.add_line_segments(
+            "/vehicle/mounting/box/edges", box_edges(1.0).astype(np.float32), (120, 72, 8), thickness=0.008
+        )
+        for axis, name in enumerate("xyz"):
+            tip = _A_LENGTH * np.eye(3)[axis]
+            scene.add_arrows(
+                f"/vehicle/mounting/box/{name}",
+                np.array([[np.zeros(3), tip]], dtype=np.float32),
+                AXIS_COLOURS[axis],
+                shaft_radius=0.012,
+                head_radius=0.035,
+                head_length=0.09,
+            )
+            scene.add_label(
+                f"/vehicle/mounting/box/{name}_label", f"box {name}", position=1.08 * tip, anchor="center-center",
+                font_screen_scale=0.9,
+            )  # fmt: skip
+            if view.sigma is not None:
+                # The sigmas are about the V axes, so the cones are children of the V-frame, not of the box.
+                vertices, faces = cone(R_va[:, axis], np.array(view.sigma), 1.35 * _A_LENGTH)
+                scene.add_mesh_simple(
+                    f"/vehicle/mounting/cone_{name}",
+                    vertices.astype(np.float32),
+                    faces,
+                    color=AXIS_COLOURS[axis],
+                    opacity=0.35,
+                    side="double",
+                )
+
+    def _draw_ghost(self, view: MountingView) -> None:
+        scene = self._server.scene
+        # A ball: every orientation of the box fits into it and none is suggested.
+        radius = 0.5 * float(np.linalg.norm(_BOX_SIZE))
+        scene.add_icosphere("/vehicle/mounting/ghost", radius, _GHOST, subdivisions=3, opacity=0.35)
+        scene.add_icosphere("/vehicle/mounting/ghost_lines", radius, _GHOST, subdivisions=2, wireframe=True)
+        scene.add_label(
+            "/vehicle/mounting/ghost_label",
+            f"{view.headline}: orientation unknown",
+            position=(0.0, 0.0, -1.5 * radius),
+            anchor="bottom-center",
+        )
+
+
+def box_edges(scale: float) -> Floats:
+    """The twelve edges of the box in its own frame, shape (12, 2, 3)."""
+    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+    pairs = [(a, b) for a in range(8) for b in range(a) if np.count_nonzero(corners[a] != corners[b]) == 1]
+    return 0.5 * scale * np.array(_BOX_SIZE) * corners[np.array(pairs)]
+
+
+def panel_html(view: MountingView) -> str:
+    """The words beside the scene; names come from users and are escaped."""
+    colour = _STATE_COLOURS[view.state]
+    lines = [
+        f'<div style="font-size:12px;opacity:.7">{html.escape(view.title)}</div>',
+        f'<div style="font-size:16px;font-weight:600"><span style="color:{colour}">●</span>'
+        f" {html.escape(view.headline)} · {view.percent}&nbsp;%</div>",
+    ]
+    if view.sigma is None:
+        lines.append("<div>Orientation not known yet</div>")
+    else:
+        values = (f"{name} ±{np.degrees(sigma):.1f}°" for name, sigma in zip("xyz", view.sigma, strict=True))
+        lines.append(f'<div style="font-variant-numeric:tabular-nums">{" · ".join(values)}</div>')
+    lines.extend(f"<div>{html.escape(reason)}</div>" for reason in view.reasons)
+    legend = "Thick axes: vehicle. Thin axes: box, with its 95&nbsp;% cone. Box drawn larger than it is."
+    if view.reference is not None:
+        legend += ' <span style="color:#9628c8">▢</span> Violet outline: reference mounting.'
+    lines.append(f'<div style="font-size:11px;opacity:.65;margin-top:6px">{legend}</div>')
+    return f'<div style="padding:4px 10px 8px;line-height:1.45;font-size:13px">{"".join(lines)}</div>'
