@@ -7,9 +7,12 @@ never differentiated, its noise stays in its place, and slow fixes lose nothing.
 
 Signs, for small road and body angles (V-frame; slope s uphill positive, climb downward positive)::
 
-    f_x = a_x + g s + kappa_x a_x - l_x w² - l_y w'
-    f_y = v w + g bank + kappa_y v w + l_x w' - l_y w²
-    f_z = -g + climb' + (kappa_x f_x² + kappa_y f_y²) / g
+    f_x = v' + g s + kappa_x v' - l_x w²
+    f_y = v w + g bank + kappa_y v w + l_x w'
+    f_z = -g + climb' + v' s + f_y bank + (kappa_x f_x² + kappa_y f_y²) / g
+    course = heading + l_x w / v
+
+`v` is the speed of the box; ``l_x`` its place ahead of the point that does not slip.
 """
 
 from __future__ import annotations
@@ -30,8 +33,10 @@ MILLI_G = 1e-3 * GRAVITY
 # Places of the unknowns in p.
 TURN = slice(0, 3)
 BIAS = slice(3, 6)
-PITCH_GAIN, ROLL_GAIN, LEVER_X, LEVER_Y, ANTENNA_X, SPEED_LAG, COURSE_LAG = range(6, 13)
+PITCH_GAIN, ROLL_GAIN, LEVER_X, ANTENNA_X, ANTENNA_Y, SPEED_LAG, COURSE_LAG = range(6, 13)
 UNKNOWNS = 13
+PITCH_UNKNOWNS = np.array([0, 1, 2, 3, 5, PITCH_GAIN, ROLL_GAIN, LEVER_X, ANTENNA_Y, SPEED_LAG])
+YAW_UNKNOWNS = np.array([0, 2, 4, ROLL_GAIN, LEVER_X, ANTENNA_X, COURSE_LAG])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -44,7 +49,10 @@ class Noise:
 
     speed_white: float = 0.06
     speed_slow: float = 0.06
-    """Errors of GPS velocity along and across the travel, m/s: per fix, and slowly varying."""
+    """Errors of GPS velocity along the travel, m/s: per fix, and slowly varying."""
+    across_white: float = 0.06
+    across_slow: float = 0.06
+    """The same across the travel: course times speed, m/s."""
     slow_time: float = 4.0
     """Correlation time of the slow errors of speed, course and height, s."""
     height_white: float = 0.5
@@ -59,7 +67,8 @@ class Noise:
     force: float = 0.03
     """White noise of specific force: sensor, vibration left over, (m/s²)/√Hz."""
     relative: float = 0.02
-    """Share of a change of speed or course that the model may miss."""
+    relative_turn: float = 0.02
+    """Share of a change of speed, and of course, that the model may miss."""
     heave: float = 0.04
     """Vertical velocity of the body on its springs, m/s."""
     crown: float = np.radians(0.8)
@@ -71,9 +80,8 @@ class Noise:
     """Body pitch and roll per g, as a share of specific force: mean and deviation."""
     lever: tuple[float, float] = (0.5, 1.0)
     """How far the box sits ahead of the point that does not slip: mean and deviation, m."""
-    lever_side: float = 0.5
     antenna: float = 0.3
-    """Deviations of the box's place to the right, and of the antenna ahead of the point that does not slip, m."""
+    """Deviation of the antenna from the box, ahead and to the right, m."""
     lag: tuple[float, float] = (0.3, 0.5)
     """Of the receiver: mean and deviation, s."""
 
@@ -203,6 +211,29 @@ def _slow(elapsed: Floats, time: float) -> tuple[Floats, Floats]:
     return decay, 1.0 - decay**2
 
 
+def gps_rate(t: Floats, values: Floats, reach: float = 1.0) -> Floats:
+    """Rate of change of what the receiver says, over `reach` seconds either side.
+
+    How a measurement shifts with its lag must not be taken from the accelerometer: that one feels
+    slope and bank as well, and a highway has more of those than of acceleration.
+    """
+    known = np.isfinite(values)
+    if known.sum() < 2:
+        return np.zeros(t.size)
+    reach = max(reach, 1.01 * float(np.median(np.diff(t))))
+    ahead = np.interp(t + reach, t[known], values[known])
+    behind = np.interp(t - reach, t[known], values[known])
+    return (ahead - behind) / (2.0 * reach)
+
+
+def unrolled(course: Floats) -> Floats:
+    """Course without jumps at north; NaN stay."""
+    known = np.isfinite(course)
+    out = course.copy()
+    out[known] = np.unwrap(course[known])
+    return out
+
+
 class Frame(NamedTuple):
     """Specific force turned by the present estimate, and what follows from it, at the ticks."""
 
@@ -300,14 +331,13 @@ def pitch_plane(record: Record, R_va: Floats, lag: float, noise: Noise) -> Chann
     quadratic = np.column_stack([frame.f[:, 0] ** 2, frame.f[:, 1] ** 2]) / GRAVITY
     inputs = np.column_stack([frame.f, quadratic, frame.w**2])
     total = _difference(at(record, steps.when, integrate(record, inputs)), steps.broken)
-    dw = _difference(at(record, steps.when, frame.w), steps.broken)
     U = np.zeros((steps.when.size, 2, c))
     keep = 1.0 - noise.pitch_gain[0]
     U[:, 0, 0] = keep * total[:, 0] + noise.lever[0] * total[:, 5]
     U[:, 0, 1 + 1], U[:, 0, 1 + 2] = keep * total[:, 2], -keep * total[:, 1]
     U[:, 0, 1 + 3] = -steps.dt
     U[:, 0, 1 + PITCH_GAIN] = -total[:, 0]
-    U[:, 0, 1 + LEVER_X], U[:, 0, 1 + LEVER_Y] = total[:, 5], dw
+    U[:, 0, 1 + LEVER_X] = total[:, 5]
     U[:, 1, 0] = (
         total[:, 2] + GRAVITY * steps.dt - noise.pitch_gain[0] * total[:, 3] - noise.roll_gain[0] * total[:, 4]
     )
@@ -318,11 +348,15 @@ def pitch_plane(record: Record, R_va: Floats, lag: float, noise: Noise) -> Chann
     fixes = record.fixes
     Y = np.zeros((steps.when.size, 3, c))
     Y[:, 0, 0], Y[:, 1, 0] = fixes.speed, np.nan_to_num(fixes.alt)
-    Y[:, 0, 1 + SPEED_LAG] = at(record, steps.when, frame.f[:, 0] - np.mean(frame.f[:, 0]))
+    Y[:, 0, 1 + SPEED_LAG] = gps_rate(fixes.t, fixes.speed)
+    Y[:, 0, 1 + ANTENNA_Y] = at(record, steps.when, frame.w)
     x0 = np.zeros(8)
     x0[V] = fixes.speed[0]
     x0[HEIGHT] = Y[0, 1, 0]
-    return Channel(x0, P0, Phi, Q, np.array([V, CLIMB]), U, H, Y, r, np.zeros(3))
+    columns = np.concatenate([[0], 1 + PITCH_UNKNOWNS])
+    return Channel(
+        x0, P0, Phi, Q, np.array([V, CLIMB]), U[:, :, columns], H, Y[:, :, columns], r, np.zeros(3), PITCH_UNKNOWNS
+    )
 
 
 def yaw_plane(record: Record, R_va: Floats, lags: tuple[float, float], noise: Noise) -> Channel:
@@ -361,11 +395,25 @@ def yaw_plane(record: Record, R_va: Floats, lags: tuple[float, float], noise: No
     lost = steps.broken | np.isnan(record.fixes.course) | (elapsed > 3.0)
     Phi, Q, H, r = yaw_system(record.fixes, steps, noise, total, lost)
     Y = np.zeros((steps.when.size, 1, c))
-    Y[:, 0, 0] = np.nan_to_num(record.fixes.course)
-    Y[:, 0, 1 + COURSE_LAG] = w
-    Y[:, 0, 1 + ANTENNA_X] = -w * inverse_now
-    P0 = np.diag([100.0, noise.bank**2, noise.speed_slow**2])
-    return Channel(np.zeros(3), P0, Phi, Q, np.array([0]), U, H, Y, r, np.array([2.0 * np.pi]))
+    # Ahead of the point that does not slip, the track points into the turn.
+    Y[:, 0, 0] = np.nan_to_num(record.fixes.course) - noise.lever[0] * w * inverse_now
+    Y[:, 0, 1 + COURSE_LAG] = gps_rate(record.fixes.t, unrolled(record.fixes.course))
+    Y[:, 0, 1 + LEVER_X] = Y[:, 0, 1 + ANTENNA_X] = -w * inverse_now
+    P0 = np.diag([100.0, noise.bank**2, noise.across_slow**2])
+    columns = np.concatenate([[0], 1 + YAW_UNKNOWNS])
+    return Channel(
+        np.zeros(3),
+        P0,
+        Phi,
+        Q,
+        np.array([0]),
+        U[:, :, columns],
+        H,
+        Y[:, :, columns],
+        r,
+        np.array([2.0 * np.pi]),
+        YAW_UNKNOWNS,
+    )
 
 
 def yaw_system(
@@ -380,13 +428,13 @@ def yaw_system(
     Phi[:, 1, 1], Q[:, 1, 1] = along, (1.0 - along**2) * noise.bank**2
     elapsed = np.diff(steps.when, prepend=steps.when[:1])
     decay, fresh = _slow(elapsed, noise.slow_time)
-    Phi[:, 2, 2], Q[:, 2, 2] = decay, fresh * noise.speed_slow**2
+    Phi[:, 2, 2], Q[:, 2, 2] = decay, fresh * noise.across_slow**2
     slack = np.where(steps.dt > 0.0, total[:, 3] ** 2 / np.maximum(steps.dt, 1e-3), 0.0)
-    Q[:, 0, 0] = noise.force**2 * slack + (noise.relative * total[:, 1]) ** 2 + np.where(lost, 100.0, 0.0)
+    Q[:, 0, 0] = noise.force**2 * slack + (noise.relative_turn * total[:, 1]) ** 2 + np.where(lost, 100.0, 0.0)
     inverse = 1.0 / np.maximum(fixes.speed, FLOOR_SPEED)
     H = np.zeros((count, 1, 3))
     H[:, 0, 0], H[:, 0, 2] = 1.0, inverse
-    r = np.where(np.isfinite(fixes.course), (noise.speed_white * inverse) ** 2 + 1e-6, np.nan)[:, None]
+    r = np.where(np.isfinite(fixes.course), (noise.across_white * inverse) ** 2 + 1e-6, np.nan)[:, None]
     return Phi, Q, H, r
 
 
@@ -396,7 +444,7 @@ def prior(noise: Noise, lags: tuple[float, float]) -> tuple[Floats, Floats]:
     mean = np.zeros(UNKNOWNS)
     deviation[BIAS] = noise.bias
     deviation[[PITCH_GAIN, ROLL_GAIN]] = noise.pitch_gain[1], noise.roll_gain[1]
-    deviation[[LEVER_X, LEVER_Y, ANTENNA_X]] = noise.lever[1], noise.lever_side, noise.antenna
+    deviation[[LEVER_X, ANTENNA_X, ANTENNA_Y]] = noise.lever[1], noise.antenna, noise.antenna
     deviation[[SPEED_LAG, COURSE_LAG]] = noise.lag[1]
     mean[[SPEED_LAG, COURSE_LAG]] = noise.lag[0] - lags[0], noise.lag[0] - lags[1]
     return 1.0 / deviation**2, mean

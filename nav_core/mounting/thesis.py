@@ -11,13 +11,13 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from nav_core.errors import TooLittleDataError
-from nav_core.mounting.thesis_flow import TEST_DURATION, TEST_LIMIT, WINDOW, FlowChart, follow_flow_chart
+from nav_core.mounting.thesis_flow import TEST_DURATION, WINDOW, FlowChart, follow_flow_chart
 from nav_core.mounting.thesis_kernel import N_STATES, filter_drive, restart_vehicle
 from nav_core.mounting.thesis_model import (
     LEVEL_TILT,
     MOVING,
     THESIS_PERIOD,
-    UNKNOWN_YAW,
+    YAW_STEP,
     Errata,
     ErrataName,
     Steps,
@@ -42,7 +42,7 @@ REASONS = {
     "not_stable": "The estimate still moves: drive on with some turns and braking.",
     "self_test_running": "Checking the estimate against GPS speed: drive on for {0:.0f} s.",
     "self_test_failed": "The estimate failed its check against GPS speed by {0:.1f} m/s: drive on.",
-    "filter_lost": "The filter lost the vehicle after {0:.0f} s.",
+    "filter_lost": "The filter's covariance has become meaningless, and its estimate with it.",
 }
 """What each status means to a driver; a number fills the braces."""
 
@@ -69,7 +69,7 @@ class History(NamedTuple):
         Of the small rotation about the V axes, rad².  The factor 2 in 4.25 makes `a_A` the rotation vector
         to second order, so it is the block of P as it stands.
     largest_eigenvalue : ndarray, shape (n,)
-        Of ``n P / tr P`` (5.3), between 1 and n = 9, in the mixed SI units of the state; looked at once a second.
+        Of ``n P / tr P`` (5.3), between 1 and n = 9, in the mixed SI units of the state; looked at every 5 s.
     chi2 : ndarray, shape (n,)
         Squared normalised innovations of the row, summed over its seven measurements.
     """
@@ -97,11 +97,12 @@ class ThesisRun(NamedTuple):
     """Rows before the filter was lost; all of them unless the equations are the printed ones."""
 
 
-def initial_state(steps: Steps, tuning: Tuning, errata: Errata) -> Start:
+def initial_states(steps: Steps, tuning: Tuning, errata: Errata) -> tuple[Start, ...]:
     """Start values of 001 §5.2, or their correction.
 
     Printed: x = 0, both quaternions the identity, ``P = Q_w``.  Corrected (`errata.start`): the vehicle level and
-    on its course at its speed, the box levelled by the first seconds of specific force with its yaw unknown.
+    on its course at its speed, the box levelled by the first seconds of specific force, and its yaw, of which
+    nothing is known, in four directions: one of them is within 45°, where the linearisation holds.
 
     Parameters
     ----------
@@ -111,20 +112,21 @@ def initial_state(steps: Steps, tuning: Tuning, errata: Errata) -> Start:
 
     Returns
     -------
-    Start
+    tuple of Start
     """
     x, P = np.zeros(N_STATES), np.zeros((N_STATES, N_STATES))
     q_V, q_A = np.array([0.0, 0.0, 0.0, 1.0]), np.array([0.0, 0.0, 0.0, 1.0])
     if errata.start:
         restart_vehicle(x, P, q_V, steps.velocity[0], float(steps.speed[0]))
         first = steps.t <= steps.t[0] + LEVELLING
-        q_A = levelled(steps.f[first].mean(axis=0))
-        P[6:, 6:] = np.diag([LEVEL_TILT**2, LEVEL_TILT**2, UNKNOWN_YAW**2])
-        return Start(x, P, q_V, q_A)
+        q_level = levelled(steps.f[first].mean(axis=0))
+        P[6:, 6:] = np.diag([LEVEL_TILT**2, LEVEL_TILT**2, YAW_STEP**2])
+        yaws = Rotation.from_rotvec(np.outer(np.arange(4) * YAW_STEP, [0.0, 0.0, 1.0]))
+        return tuple(Start(x, P, q_V, q) for q in (yaws * Rotation.from_quat(q_level)).as_quat())
     T = THESIS_PERIOD
     P[:2, :2] = tuning.acceleration * np.array([[T**3 / 3.0, T**2 / 2.0], [T**2 / 2.0, T]])
     P[2:, 2:] = np.diag([tuning.turn, *[tuning.attitude] * 3, *[tuning.mounting] * 3])
-    return Start(x, P, q_V, q_A)
+    return (Start(x, P, q_V, q_A),)
 
 
 def levelled(f_a: Floats) -> Floats:
@@ -164,7 +166,7 @@ def run_thesis(
     tuning : Tuning, optional
         Default: table 5.1.
     start : Start, optional
-        Default: `initial_state`.
+        Default: the best of `initial_states`, by the sum of squared normalised innovations.
 
     Returns
     -------
@@ -177,10 +179,16 @@ def run_thesis(
     """
     chosen, tuned = errata_named(errata), tuning or Tuning()
     steps = measurement_vectors(drive, chosen)
-    begin = start or initial_state(steps, tuned, chosen)
-    done, *columns = filter_drive(steps, *(a.copy() for a in begin), tuned, chosen)
-    history = History(*columns)
+    starts = initial_states(steps, tuned, chosen) if start is None else (start,)
+    runs = [_filtered(steps, begin, tuned, chosen) for begin in starts]
+    done, history = min(runs, key=lambda run: float(np.nansum(run[1].chi2)))
     return ThesisRun(steps, history, follow_flow_chart(steps, history.q_A), done)
+
+
+def _filtered(steps: Steps, start: Start, tuning: Tuning, errata: Errata) -> tuple[int, History]:
+    x, P, q_V, q_A = (a.copy() for a in start)
+    done, *columns = filter_drive(steps, x, P, q_V, q_A, tuning, errata)
+    return done, History(*columns)
 
 
 def estimate_thesis(drive: Drive, *, errata: ErrataName | Errata = "corrected") -> MountingEstimate:
@@ -209,27 +217,34 @@ def estimate_thesis(drive: Drive, *, errata: ErrataName | Errata = "corrected") 
     trial = flow.trials[-1] if flow.trials else None
     reliable = bool(trial) or bool(last >= 0 and flow.reliable[last])
     stable = bool(last >= 0 and flow.stable[last]) or flow.finished is not None
-    known = run.done == run.steps.t.size and reliable and bool(np.isfinite(flow.mean[seen, 0]))
+    sound = _is_sound(run)
+    known = sound and reliable and bool(np.isfinite(flow.mean[seen, 0]))
     test = None
     if trial is not None and trial.complete:
         test = SelfTest(trial.passed, trial.drift, trial.duration)
     progress = 0.3 * min(1.0, run.done / WINDOW) + 0.2 * stable + 0.2 * reliable
     if trial is not None and not trial.complete:
         progress += 0.3 * min(1.0, trial.duration / TEST_DURATION)
-    status = "ready" if flow.finished is not None else "settling" if known else "insufficient"
+    status = "insufficient" if not known else "settling" if flow.finished is None else "ready"
     return MountingEstimate(
         status,
         "mekf",
         R_va=Rotation.from_quat(flow.mean[seen]).as_matrix() if known else None,
         covariance=run.history.mounting_covariance[seen] if known else None,
         progress=1.0 if status == "ready" else min(progress, 0.95),
-        observability=float(run.history.observability[seen]) if last >= 0 else None,
+        observability=float(run.history.observability[seen]) if sound else None,
         stable=stable,
         reliable=reliable,
         self_test=test,
         converged_after=_converged_after(run),
         reasons=_reasons(run),
     )
+
+
+def _is_sound(run: ThesisRun) -> bool:
+    """Whether the filter lasted and its covariance was one throughout; the printed 4.23 does not keep it so."""
+    variances = np.einsum("kii->ki", run.history.mounting_covariance)
+    return run.done == run.steps.t.size and bool(np.all(variances >= 0.0))
 
 
 def _converged_after(run: ThesisRun) -> float | None:
@@ -243,10 +258,10 @@ def _converged_after(run: ThesisRun) -> float | None:
 def _reasons(run: ThesisRun) -> tuple[Reason, ...]:
     """What keeps the estimate from being ready."""
     flow, n = run.flow, run.steps.t.size
+    if not _is_sound(run):
+        return (_reason("filter_lost"),)
     if flow.finished is not None:
         return ()
-    if run.done < n:
-        return (_reason("filter_lost", float(run.steps.t[run.done] - run.steps.t[0])),)
     if run.steps.speed.max() < MOVING:
         return (_reason("not_moving"),)
     reasons: list[Reason] = []

@@ -20,8 +20,8 @@ WINDOW = 100
 STABLE_STEP = np.radians(0.02)
 """Largest turn of the moving average from one sample to the next while STABLE, rad.
 
-The average moves by a hundredth of what separates the estimate from that of a hundred samples before.  2° of
-that are allowed: less than the thesis' own error (table 5.3), more than road and noise still move a settled estimate."""
+The average moves by a hundredth of what separates the estimate from that of a hundred samples before.  2° of that
+are allowed: less than the thesis' own error (table 5.3), more than road and noise still move a settled estimate."""
 
 RELIABLE_RATE = np.radians(10.0)
 """Turn rate that makes RELIABLE, rad/s: every junction and roundabout reaches it, lane changes and fast roads do not.
@@ -111,7 +111,7 @@ def settled(mean: Floats, limit: float = STABLE_STEP) -> Flags:
     """STABLE of 001 §5.3: the moving average turns by less than `limit` from row to row, shape (n,)."""
     # Between neighbours the chord is exact enough and, unlike the arc cosine, has no rounding noise at 1.
     chord = np.linalg.norm(np.diff(mean, axis=0), axis=1)
-    return np.append(False, 2.0 * chord < limit)  # noqa: FBT003  numpy's own signature
+    return np.append(False, 2.0 * chord < limit)
 
 
 def curves(steps: Steps) -> Flags:
@@ -135,7 +135,7 @@ def run_test(steps: Steps, mean: Floats, saved: int) -> Trial:
     ended = min(ended, steps.t.size - 1)
     rows = slice(saved + 1, ended + 1)
     forward = Rotation.from_quat(mean[saved]).as_matrix()[0]
-    v_test = steps.speed[saved] + float(np.sum(steps.f[rows] @ forward * steps.period[rows]))
+    v_test = float(steps.speed[saved]) + float(np.sum(steps.f[rows] @ forward * steps.period[rows]))
     whole = bool(np.all(steps.period[rows] <= LONGEST_HOLE))
     return Trial(
         saved=saved,

@@ -18,8 +18,8 @@ from nav_core.typing import Flags, Floats, kernel
 N_STATES = 9
 N_MEASUREMENTS = 7
 
-EIGENVALUE_PERIOD = 1.0
-"""s between two looks at the eigenvalues."""
+EIGENVALUE_PERIOD = 5.0
+"""s between two looks at the eigenvalues, each of which costs several filter steps."""
 
 
 @kernel
@@ -134,6 +134,10 @@ def predict(x: Floats, P: Floats, T: float, tuning: Tuning, errata: Errata) -> N
         P[c, 4] = half * p + q
         P[c, 5] += lever * P[c, 2]
     process_noise(P, v_x, omega, T, tuning, errata)
+    for i in range(N_STATES):
+        for j in range(i):
+            # Rounding differs between the two passes; over hours it would tear the halves apart.
+            P[i, j] = P[j, i] = 0.5 * (P[i, j] + P[j, i])
 
 
 @kernel
@@ -193,10 +197,9 @@ def assimilate(y: float, r: float, h: float, row: Floats, dx: Floats, P: Floats,
         innovation -= row[i] * dx[i]
     scale = 1.0 / variance
     for i in range(N_STATES):
-        gain = spread[i] * scale
-        dx[i] += gain * innovation
+        dx[i] += spread[i] * scale * innovation
         for j in range(N_STATES):
-            P[i, j] -= gain * spread[j]
+            P[i, j] -= spread[i] * spread[j] * scale
     return innovation * innovation * scale
 
 
@@ -287,7 +290,6 @@ def filter_drive(
         if not np.isfinite(trace + q_A[0] + q_V[0] + x[0]):
             return k, out_A, out_V, motion, covariance, largest, chi2
         if steps.t[k] >= next_look:
-            # Costs several filter steps, so once a second.
             eigenvalue = N_STATES * np.linalg.eigvalsh(P)[-1] / trace
             next_look = steps.t[k] + EIGENVALUE_PERIOD
         out_A[k], out_V[k], motion[k], covariance[k] = q_A, q_V, x[:3], P[6:9, 6:9]

@@ -31,8 +31,9 @@ VEHICLE_START = (0.3, 4.0, 0.01, 0.0025, 0.0025, 0.01)
 """Variances of v_x, a_x, omega_z and a_V of a vehicle set on its course (correction of 5.2): (0.55 m/s)², (2 m/s²)²,
 (0.1 rad/s)², slope and bank of (0.05 rad)², course of (0.1 rad)²."""
 
-LEVEL_TILT, UNKNOWN_YAW = 0.1, np.pi / np.sqrt(3.0)
-"""1-sigma of a mounting levelled by gravity, rad: 1 m/s² of acceleration or slope; a turn of which nothing is known."""
+LEVEL_TILT, YAW_STEP = 0.1, np.pi / 2.0
+"""1-sigma of the tilt of a mounting levelled by gravity, rad: 1 m/s² of acceleration or slope; step between the yaws
+at which it is started, and 1-sigma of each, rad."""
 
 CLIMB_WINDOW = 10.0
 """s; height is differenced over it in the corrected 5.1: its error wanders metres within seconds, which a
@@ -62,9 +63,9 @@ class Tuning(NamedTuple):
     floor_speed: float = 1.0
     """Least v_x that 4.63 is fed with, m/s (correction)."""
     floor_attitude: float = 0.15
-    """Least turn rate that 4.63 is fed with for a_V, rad/s (correction): hills and bumps turn a car on straight roads."""
+    """Least turn rate that 4.63 is fed with for a_V, rad/s (correction): hills turn a car on straight roads."""
     floor_mounting: float = 0.01
-    """Least turn rate that 4.63 is fed with for a_A, rad/s (correction): a mounting does not move, its covariance must not die."""
+    """Least turn rate that 4.63 is fed with for a_A, rad/s (correction): keeps its covariance from dying."""
     longest_step: float = 5.0
     """s; after a longer gap the corrected filter forgets the vehicle's state and keeps the mounting."""
 
@@ -118,7 +119,7 @@ class Steps(NamedTuple):
     turn_rate : ndarray, shape (n,)
         Differenced course of 5.2, rad/s, in the convention of the errata.
     turning : ndarray of bool, shape (n,)
-        Whether `turn_rate` was measured, that is while moving.
+        Whether `turn_rate` was measured; not at the first moving fix after standing.
     speed : ndarray, shape (n,)
         GPS speed, m/s.
     """
@@ -135,8 +136,9 @@ class Steps(NamedTuple):
 def measurement_vectors(drive: Drive, errata: Errata = CORRECTED) -> Steps:
     """Measurement vectors of 001 eqs. 4.62, 5.1 and 5.2 at the fixes of a drive.
 
-    Starts at the first moving fix (at the first fix if there is none).  Below 1.5 m/s the course is
-    held and its rate not measured.  Differences of course are wrapped, so that passing north makes no peak.
+    Starts at the first moving fix (at the first fix if there is none) and uses about four fixes per second at
+    most, the rate of table 5.1.  Below 1.5 m/s the course is held; its jump when driving off is no turn rate.
+    Differences of course are wrapped, so that passing north makes no peak.
 
     Parameters
     ----------
@@ -171,7 +173,7 @@ def measurement_vectors(drive: Drive, errata: Errata = CORRECTED) -> Steps:
         f=f,
         velocity=velocity,
         turn_rate=turn_rate if errata.course else -turn_rate,
-        turning=~moving | np.append(True, moving[:-1]),  # noqa: FBT003  numpy's own signature
+        turning=~moving | np.append(False, moving[:-1]),
         speed=speed,
     )
 
@@ -188,17 +190,21 @@ def _usable_fixes(drive: Drive) -> tuple[Integers, Floats]:
     gnss = drive.gnss
     usable = gnss.fix & np.isfinite(gnss.speed)
     fields = np.stack([gnss.lat, gnss.lon, gnss.speed, gnss.course])
-    stale = np.append(False, np.all(fields[:, 1:] == fields[:, :-1], axis=0))  # noqa: FBT003  numpy's own signature
+    stale = np.append(False, np.all(fields[:, 1:] == fields[:, :-1], axis=0))
     used = np.flatnonzero(usable & ~(stale & (gnss.speed >= MOVING)))
     if used.size < 2:
         raise TooLittleDataError("fixes", int(used.size), 2)
-    rate = float(np.clip(1.0 / np.median(np.diff(gnss.t[used])), 1.0 / THESIS_PERIOD, 10.0))
-    ticks = decimate(drive.inertial, rate)
-    nearest = np.abs(ticks.t[np.clip(np.searchsorted(ticks.t, gnss.t[used]), 1, None) - 1] - gnss.t[used])
-    used = used[nearest <= 1.5 / rate]
-    if used.size < 2:
-        raise TooLittleDataError("fixes with accelerometer data", int(used.size), 2)
-    return used, np.stack([np.interp(gnss.t[used], ticks.t, ticks.f[:, axis]) for axis in range(3)], axis=1)
+    if np.median(np.diff(gnss.t[used])) < THESIS_PERIOD / 1.5:
+        # Differences of course between closer fixes are noisier than table 5.1 says.
+        used = used[np.unique(np.floor(gnss.t[used] / THESIS_PERIOD), return_index=True)[1]]
+    ticks = decimate(drive.inertial, 1.0 / THESIS_PERIOD)
+    t, f = ticks.t[ticks.valid], ticks.f[ticks.valid]
+    if t.size:
+        before = np.clip(np.searchsorted(t, gnss.t[used], side="right") - 1, 0, None)
+        used = used[np.abs(t[before] - gnss.t[used]) <= 1.5 * THESIS_PERIOD]
+    if t.size == 0 or used.size < 2:
+        raise TooLittleDataError("fixes with accelerometer data", int(used.size) if t.size else 0, 2)
+    return used, np.stack([np.interp(gnss.t[used], t, f[:, axis]) for axis in range(3)], axis=1)
 
 
 def _held(values: Floats, known: Flags) -> Floats:

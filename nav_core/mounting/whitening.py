@@ -47,17 +47,24 @@ class Channel(NamedTuple):
     """Measurement variance, NaN where there is none, shape (N, k)."""
     period: Floats
     """Period of each measurement (2 pi for an angle), 0 for none, shape (k,)."""
+    unknowns: Integers
+    """Places in `p` of the c - 1 unknowns that act here."""
 
 
 class Evidence(NamedTuple):
     """Sums of products of whitened innovations ``[e0, E]``, by stretch and kind of measurement."""
 
     gram: Floats
-    """shape (blocks, k, c, c)."""
+    """For all of `p`, shape (blocks, k, 1 + size of p, 1 + size of p)."""
     count: Floats
     """Measurements, shape (blocks, k)."""
     log_det: Floats
     """Sum of log innovation variances, shape (blocks, k)."""
+
+    def misfit(self, p: Floats) -> Floats:
+        """Sum of squared whitened innovations at `p`, shape (blocks, k)."""
+        e = np.concatenate([[1.0], p])
+        return self.gram @ e @ e
 
 
 def _whiten(
@@ -85,8 +92,11 @@ def _whiten(
     P, M = P0.copy(), np.zeros((n, n))
     e, PH = np.zeros(c), np.zeros(n)
     for i in range(steps):
-        X1[:, :] = 0.0
-        M[:, :] = 0.0
+        for a in range(n):
+            for j in range(c):
+                X1[a, j] = 0.0
+            for j in range(n):
+                M[a, j] = 0.0
         for a in range(n):
             for b in range(n):
                 g = Phi[i, a, b]
@@ -98,27 +108,34 @@ def _whiten(
         for d in range(driven.size):
             for j in range(c):
                 X1[driven[d], j] += U[i, d, j]
-        X[:, :] = X1
-        P[:, :] = Q[i]
+        for a in range(n):
+            for j in range(c):
+                X[a, j] = X1[a, j]
+        for a in range(n):
+            for b in range(n):
+                P[a, b] = Q[i, a, b]
         for b in range(n):
             for l in range(n):
                 g = Phi[i, b, l]
                 if g != 0.0:
                     for a in range(n):
-                        P[a, b] += M[a, l] * g
+                        P[b, a] += M[a, l] * g  # symmetric: filled by rows
         for m in range(k):
             if not np.isfinite(r[i, m]):
                 continue
-            S = r[i, m]
-            for a in range(n):
-                PH[a] = 0.0
-                for b in range(n):
-                    PH[a] += P[a, b] * H[i, m, b]
-                S += H[i, m, a] * PH[a]
+            PH[:] = 0.0
             for j in range(c):
                 e[j] = Y[i, m, j]
-                for a in range(n):
-                    e[j] -= H[i, m, a] * X[a, j]
+            for b in range(n):
+                h = H[i, m, b]
+                if h != 0.0:
+                    for a in range(n):
+                        PH[a] += P[b, a] * h
+                    for j in range(c):
+                        e[j] -= h * X[b, j]
+            S = r[i, m]
+            for a in range(n):
+                S += H[i, m, a] * PH[a]
             residual = e[0]
             for j in range(1, c):
                 # columns of e are derivatives of the innovation
@@ -161,8 +178,8 @@ def whiten(
     block : ndarray of int, shape (N,)
         Which stretch each step belongs to.
     blocks : int
-    p : ndarray, shape (c - 1,)
-        Where the unknowns stand now; only the robust weights and the wrapping of angles use it.
+    p : ndarray
+        Where all unknowns stand now; only the robust weights and the wrapping of angles use it.
     limit : float
         Innovations beyond this many sigmas are weighted down (Huber); infinite for none.
     compiled : bool
@@ -175,6 +192,10 @@ def whiten(
     k, c = channel.Y.shape[1], channel.Y.shape[2]
     gram, count, log_det = np.zeros((blocks, k, c, c)), np.zeros((blocks, k)), np.zeros((blocks, k))
     run = _whiten_fast if compiled else _whiten
-    run(*channel, block, p, float(limit), gram, count, log_det)
-    upper = np.tril(gram, -1)
-    return Evidence(gram + np.swapaxes(upper, -1, -2), count, log_det)
+    arrays = [np.ascontiguousarray(array) for array in channel[:-1]]  # one compiled form for every layout
+    run(*arrays, block, p[channel.unknowns], float(limit), gram, count, log_det)
+    gram += np.swapaxes(np.tril(gram, -1), -1, -2)
+    place = np.concatenate([[0], 1 + channel.unknowns])
+    everything = np.zeros((blocks, k, 1 + p.size, 1 + p.size))
+    everything[:, :, place[:, None], place] = gram
+    return Evidence(everything, count, log_det)

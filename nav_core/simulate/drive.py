@@ -130,7 +130,6 @@ def _events(vehicle: Vehicle) -> tuple[TrueEvent, ...]:
                 longitudinal=shock.forward,
                 lateral=shock.sideways,
                 resultant=float(np.hypot(shock.forward, shock.sideways)),
-                # Adding zero turns -0.0 into 0.0, whose direction is ahead and not behind.
                 pdof=float(np.arctan2(-shock.sideways + 0.0, -shock.forward + 0.0)),
                 speed=float(speed[0]),
                 yaw_rate_change=shock.turn_rate,

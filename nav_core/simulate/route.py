@@ -74,6 +74,7 @@ class _Layout:
     throttle: list[float] = field(default_factory=list)
     brake: list[float] = field(default_factory=list)
     stops: list[tuple[float, float]] = field(default_factory=list)
+    side: float = 1.0
 
     @property
     def length(self) -> float:
@@ -98,6 +99,12 @@ class _Layout:
         curvature = angle * ramp / (CELL * ramp.sum())
         self._lay(curvature.tolist(), min(self.limit_now, float(np.sqrt(lateral / np.abs(curvature).max()))))
 
+    def turn(self, rng: np.random.Generator) -> float:
+        """Side of the next turn, +1 right: rather the other than the last, as trips do not end in spirals."""
+        if rng.random() < 0.65:
+            self.side = -self.side
+        return self.side
+
     def stop(self, seconds: float) -> None:
         """Stop here for so long."""
         self.stops.append((self.length, seconds))
@@ -118,7 +125,7 @@ def lay_out(scenario: Scenario, rng: np.random.Generator) -> Route:
     for impact in scenario.impacts:
         needed += 30.0 * (impact.speed or 0.0)
     wait, speed = float(rng.uniform(3.0, 8.0)), 0.0
-    side = float(rng.choice([-1.0, 1.0]))
+    side = layout.side = _either(rng)
     while layout.length < needed:
         match scenario.route:
             case "static":
@@ -149,7 +156,7 @@ def lay_out(scenario: Scenario, rng: np.random.Generator) -> Route:
     )
 
 
-def _sign(rng: np.random.Generator) -> float:
+def _either(rng: np.random.Generator) -> float:
     return float(rng.choice([-1.0, 1.0]))
 
 
@@ -165,7 +172,7 @@ def _urban_block(layout: _Layout, rng: np.random.Generator) -> None:
     layout.mood(limit=top * rng.uniform(0.85, 1.0), throttle=rng.uniform(1.0, 2.6), brake=rng.uniform(1.2, 3.3))
     layout.straight(rng.uniform(40.0, 160.0))
     if rng.random() < 0.35:
-        layout.bend(_sign(rng) * np.radians(rng.uniform(10.0, 40.0)), rng.uniform(60.0, 200.0), 2.5)
+        layout.bend(_either(rng) * np.radians(rng.uniform(10.0, 40.0)), rng.uniform(60.0, 200.0), 2.5)
         layout.straight(rng.uniform(20.0, 80.0))
     if rng.random() < 0.3:
         # A slower road user, a crossing, a hump.
@@ -175,7 +182,7 @@ def _urban_block(layout: _Layout, rng: np.random.Generator) -> None:
         layout.stop(rng.uniform(2.0, 25.0))
     if rng.random() < 0.76:
         angle = np.radians(rng.normal(90.0, 6.0))
-        layout.bend(_sign(rng) * angle, rng.uniform(7.0, 14.0), rng.uniform(1.6, 3.3))
+        layout.bend(layout.turn(rng) * angle, rng.uniform(7.0, 14.0), rng.uniform(1.6, 3.3))
 
 
 def _gentle_block(layout: _Layout, rng: np.random.Generator) -> None:
@@ -184,7 +191,7 @@ def _gentle_block(layout: _Layout, rng: np.random.Generator) -> None:
     if rng.random() < 0.25:
         layout.stop(rng.uniform(3.0, 20.0))
     angle = np.radians(rng.uniform(25.0, 95.0))
-    layout.bend(_sign(rng) * angle, rng.uniform(15.0, 70.0), rng.uniform(0.5, 1.0))
+    layout.bend(layout.turn(rng) * angle, rng.uniform(15.0, 70.0), rng.uniform(0.5, 1.0))
 
 
 def _highway_block(layout: _Layout, rng: np.random.Generator) -> None:
@@ -192,7 +199,7 @@ def _highway_block(layout: _Layout, rng: np.random.Generator) -> None:
     for _ in range(int(rng.integers(1, 4))):
         layout.straight(rng.uniform(200.0, 1200.0))
         angle = np.radians(rng.uniform(5.0, 35.0))
-        layout.bend(_sign(rng) * angle, rng.uniform(900.0, 3000.0), 2.0)
+        layout.bend(_either(rng) * angle, rng.uniform(900.0, 3000.0), 2.0)
 
 
 def _roundabout_block(layout: _Layout, rng: np.random.Generator, side: float) -> None:

@@ -286,7 +286,8 @@ class TrueEvent:
     t_end : float
         End of the pulse, s.
     longitudinal, lateral, resultant : float
-        Delta-V, m/s.
+        Delta-V of the impact alone, m/s.  The road adds millimetres a second over a pulse; what
+        friction does meanwhile about an earlier impact is not counted.
     pdof : float
         ``atan2(-lateral, -longitudinal)``, rad in (-pi, pi].
     speed : float

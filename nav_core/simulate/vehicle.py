@@ -151,7 +151,9 @@ class Vehicle:
     def struck(self, impact: Impact) -> Vehicle:
         """The same vehicle, hit in addition."""
         at = np.array([impact.t])
-        forward, sideways = -impact.delta_v * np.cos(impact.pdof), -impact.delta_v * np.sin(impact.pdof)
+        # Adding zero makes 0.0 of -0.0, whose direction is ahead and not behind.
+        forward = float(-impact.delta_v * np.cos(impact.pdof)) + 0.0
+        sideways = float(-impact.delta_v * np.sin(impact.pdof)) + 0.0
         before = self.at(at)
         speed_after = float(np.hypot(before.v[0] + forward, sideways))
         shock = Shock(
@@ -181,7 +183,7 @@ def build(scenario: Scenario, rng: np.random.Generator) -> Vehicle:
     bends[min(int(min(straight_from, 1e9) / CELL), bends.size) :] = 0.0
     curvature = over_distance(bends)
     length = CELL * bends.size
-    crown = rng.choice([-1.0, 1.0]) * rng.uniform(np.radians(0.3), np.radians(1.2))
+    crown = float(rng.choice([-1.0, 1.0]) * rng.uniform(np.radians(0.3), np.radians(1.2)))
     crown = crown if scenario.crown is None else scenario.crown
     course = float(rng.uniform(0.0, 2.0 * np.pi))
 

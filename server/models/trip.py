@@ -43,8 +43,8 @@ class TrackPoint(Base):
     __tablename__ = "track_point"
 
     trip_id: Mapped[str] = mapped_column(ForeignKey("trip.id", ondelete="CASCADE"), primary_key=True)
-    at: Mapped[dt.datetime] = mapped_column(primary_key=True)
-    t_s: Mapped[float]
+    t_s: Mapped[float] = mapped_column(primary_key=True)
+    at: Mapped[dt.datetime]
     lat_deg: Mapped[float]
     lon_deg: Mapped[float]
     alt_m: Mapped[float | None]

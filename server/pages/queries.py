@@ -5,13 +5,12 @@ from __future__ import annotations
 import datetime as dt
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
 from server.errors import NotFoundError
-from server.models import Device, DeviceState, Installation, MountingRevision, Trip, Vehicle
+from server.models import Device, DeviceState, Installation, Trip, Vehicle
 from server.pages.words import (
     LIVE_WITHIN,
     MOVED_IS_NEWS_FOR,
@@ -22,7 +21,7 @@ from server.pages.words import (
 )
 
 TRIPS_SHOWN = 50
-REVISIONS_SHOWN = 200
+INSTALLATIONS_SHOWN = 50
 
 
 @dataclass(frozen=True)
@@ -85,15 +84,25 @@ class Fleet:
 
 
 @dataclass(frozen=True)
-class BoxPage:
-    """Everything on the page of one box, and the history of its vehicle."""
+class History:
+    """What a box, and the vehicle around it, went through."""
 
-    box: Box
     installations: list[Installation]
-    revisions: list[MountingRevision]
+    """Newest first, like the trips."""
     trips: list[Trip]
     reference_angle_deg: float | None
-    known_mountings: int
+    """Between the estimate and the latest mounting known from elsewhere."""
+
+
+@dataclass(frozen=True)
+class VehiclePage:
+    """A vehicle and the box in it; either may be missing."""
+
+    vehicle: Vehicle | None
+    box: Box | None
+    history: History
+    box_count: int
+    """Boxes in the vehicle; the page shows the one heard last."""
 
 
 def fleet(session: Session, organisation_id: str, *, now: dt.datetime) -> Fleet:
@@ -104,52 +113,39 @@ def fleet(session: Session, organisation_id: str, *, now: dt.datetime) -> Fleet:
     return Fleet(boxes, [vehicle for vehicle in vehicles if vehicle.id not in carried])
 
 
-def vehicle_page(
-    session: Session, organisation_id: str, vehicle_id: str, *, now: dt.datetime
-) -> tuple[Vehicle, BoxPage | None, int]:
-    """A vehicle, the page of the box in it if there is one, and how many boxes it carries."""
+def vehicle_page(session: Session, organisation_id: str, vehicle_id: str, *, now: dt.datetime) -> VehiclePage:
+    """A vehicle and the box in it that was heard last."""
     vehicle = session.get(Vehicle, vehicle_id)
     if vehicle is None or vehicle.organisation_id != organisation_id:
-        raise NotFoundError(f"no vehicle {vehicle_id}")
+        raise NotFoundError(f"There is no vehicle {vehicle_id}")
     boxes = _boxes(session, organisation_id, now=now, vehicle_id=vehicle_id)
-    if not boxes:
-        return vehicle, None, 0
-    newest = max(boxes, key=lambda box: box.device.last_seen_at or box.device.created_at)
-    return vehicle, _page(session, newest), len(boxes)
+    box = max(boxes, key=lambda box: box.device.last_seen_at or box.device.created_at, default=None)
+    return VehiclePage(vehicle, box, _history(session, vehicle, box), len(boxes))
 
 
-def device_page(session: Session, organisation_id: str, device_id: str, *, now: dt.datetime) -> BoxPage:
-    """The page of one box."""
+def device_page(session: Session, organisation_id: str, device_id: str, *, now: dt.datetime) -> VehiclePage:
+    """A box, whatever it sits in."""
     boxes = _boxes(session, organisation_id, now=now, device_id=device_id)
     if not boxes:
-        raise NotFoundError(f"no device {device_id}")
-    return _page(session, boxes[0])
+        raise NotFoundError(f"There is no box {device_id}")
+    return VehiclePage(boxes[0].vehicle, boxes[0], _history(session, None, boxes[0]), 1)
 
 
-def _page(session: Session, box: Box) -> BoxPage:
-    of_box = Installation.device_id == box.device.id
-    here = of_box if box.vehicle is None else of_box | (Installation.vehicle_id == box.vehicle.id)
-    installations = session.scalars(select(Installation).where(here).order_by(Installation.began_at.desc()))
-    revisions: Sequence[MountingRevision] = ()
-    if box.installation is not None:
-        revisions = session.scalars(
-            select(MountingRevision)
-            .where(MountingRevision.installation_id == box.installation.id)
-            .order_by(MountingRevision.data_at.desc())
-            .limit(REVISIONS_SHOWN)
-        ).all()
-    carrier = Trip.device_id == box.device.id if box.vehicle is None else Trip.vehicle_id == box.vehicle.id
-    trips = session.scalars(select(Trip).where(carrier).order_by(Trip.began_at.desc()).limit(TRIPS_SHOWN))
-    result: dict[str, Any] = box.installation.result if box.installation else {}
-    references = box.device.reference_mountings
-    return BoxPage(
-        box,
-        list(installations),
-        list(reversed(revisions)),
-        list(trips),
-        angle_to_reference(result, references),
-        len(references),
-    )
+def _history(session: Session, vehicle: Vehicle | None, box: Box | None) -> History:
+    """Of the vehicle, whichever box it carried; of the box, wherever it was, when no vehicle is given."""
+    if vehicle is not None:
+        installed, driven = Installation.vehicle_id == vehicle.id, Trip.vehicle_id == vehicle.id
+    else:
+        device_id = "" if box is None else box.device.id
+        installed, driven = Installation.device_id == device_id, Trip.device_id == device_id
+    installations = session.scalars(
+        select(Installation).where(installed).order_by(Installation.began_at.desc()).limit(INSTALLATIONS_SHOWN)
+    ).all()
+    trips = session.scalars(select(Trip).where(driven).order_by(Trip.began_at.desc()).limit(TRIPS_SHOWN)).all()
+    angle = None
+    if box is not None and box.installation is not None:
+        angle = angle_to_reference(box.installation.result, box.device.reference_mountings)
+    return History(list(installations), list(trips), angle)
 
 
 def _boxes(

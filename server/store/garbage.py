@@ -5,31 +5,30 @@ from __future__ import annotations
 import datetime as dt
 
 from sqlalchemy import exists, or_, select
-from sqlalchemy.orm import Session
 
+from server.database import Database
 from server.models import Batch
 from server.store.blobs import BlobStore
 
 
-def collect(store: BlobStore, session: Session, older_than: dt.datetime) -> int:
+def collect(store: BlobStore, database: Database, older_than: dt.datetime) -> int:
     """Delete blobs last put before `older_than` (a day ago, say) that have no row; how many.
 
-    The session must see what others commit meanwhile: the row is looked for again just before each
-    deletion, and the store looks at the time again while it deletes.  An upload renews the time
-    before it commits its row, so what it relies on is never deleted under it.
+    The row is looked for in a fresh view just before each deletion, and the store looks at the time
+    again while it deletes.  An upload renews the time before it commits its row, so what it relies
+    on is never deleted under it.
     """
     deleted = 0
     for key in store.stale(older_than):
-        if not _has_row(session, key) and store.delete_stale(key, older_than):
+        if not _has_row(database, key) and store.delete_stale(key, older_than):
             deleted += 1
     return deleted
 
 
-def _has_row(session: Session, key: str) -> bool:
+def _has_row(database: Database, key: str) -> bool:
     organisation_id, _, rest = key.partition("/")
     device_id = rest.partition("/")[0]
     # By device first: the blob columns have no index of their own, and need none for this.
     of_device = Batch.organisation_id == organisation_id, Batch.device_id == device_id
-    found = select(exists().where(*of_device, or_(Batch.blob_key == key, Batch.body_key == key)))
-    session.rollback()  # a fresh view: what was committed since the last question must show
-    return bool(session.scalar(found))
+    with database.reading() as session:
+        return bool(session.scalar(select(exists().where(*of_device, or_(Batch.blob_key == key, Batch.body_key == key)))))

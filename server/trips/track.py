@@ -13,8 +13,8 @@ positions at least `CHORD_M` apart, is the check.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, field
 from hashlib import sha256
 from typing import Any
 
@@ -29,6 +29,8 @@ CONFIRM_S = 3.0
 REST_S = 240.0
 BRIDGE_S = 3.0
 CHORD_M = 50.0
+LOSE_S = 30.0
+"""A beginning movement is forgotten when the fixes pause as long."""
 EARTH_M = 6371008.8
 
 
@@ -50,14 +52,17 @@ class TripTotals:
 
     t_first: float
     t_last: float
+    id: str = ""
+    """Of its row, given by whoever stores it."""
     distance_m: float = 0.0
     position_distance_m: float = 0.0
     moving_s: float = 0.0
     max_speed: float = 0.0
     moved_at: float = 0.0
     """Box time of the last movement above `MOVING_MPS`."""
-    anchor: tuple[float, float] = (0.0, 0.0)
+    anchor_lat: float = 0.0
     """Position from which the next chord is measured."""
+    anchor_lon: float = 0.0
     standing: bool = False
     input_sha256: str = ""
     """Hash over the column hashes of its batches, chained in order."""
@@ -79,6 +84,8 @@ class TrackState:
     candidates: list[Point] = field(default_factory=list[Point])
     """Points of a movement that is not confirmed yet."""
     trip: TripTotals | None = None
+    given_up: bool = False
+    """Whether the open trip was ended from outside: a later boot has data, or the box fell silent."""
 
     def to_json(self) -> dict[str, Any]:
         """Plain document for the database."""
@@ -89,13 +96,13 @@ class TrackState:
         """State from what `to_json` gave; an empty document is the start."""
         if not document:
             return cls()
-        trip = document["trip"]
         return cls(
             sequence=document["sequence"],
             second=document["second"],
             last=Point(**document["last"]) if document["last"] else None,
             candidates=[Point(**point) for point in document["candidates"]],
-            trip=TripTotals(**{**trip, "anchor": tuple(trip["anchor"])}) if trip else None,
+            trip=TripTotals(**document["trip"]) if document["trip"] else None,
+            given_up=document["given_up"],
         )
 
 
@@ -133,6 +140,7 @@ class Track:
                 hashed.add_input(column_sha256)
             state.last = point
         state.sequence = sequence
+        state.given_up = False
 
     def _step(self, point: Point) -> None:
         state = self.state
@@ -143,7 +151,7 @@ class Track:
         speed = speed_at(point, state.last)
         if trip is not None:
             self._extend(trip, point, speed)
-        elif speed <= MOVING_MPS or (state.last is not None and point.t - state.last.t > BRIDGE_S):
+        elif speed <= MOVING_MPS or (state.last is not None and point.t - state.last.t > LOSE_S):
             state.candidates = [point] if speed > MOVING_MPS else []
         else:
             state.candidates.append(point)
@@ -153,7 +161,7 @@ class Track:
     def _begin(self) -> None:
         first, *further = self.state.candidates
         self.state.candidates = []
-        trip = TripTotals(first.t, first.t, moved_at=first.t, anchor=(first.lat, first.lon))
+        trip = TripTotals(first.t, first.t, moved_at=first.t, anchor_lat=first.lat, anchor_lon=first.lon)
         trip.max_speed = first.speed or 0.0
         self.state.trip = trip
         self.pieces.append(TripPiece(trip, continued=False, points=[first]))
@@ -166,20 +174,21 @@ class Track:
         last = self.state.last
         assert last is not None
         step = point.t - last.t
-        way = distance(last.lat, last.lon, point.lat, point.lon)
-        if step <= BRIDGE_S and last.speed is not None and point.speed is not None:
+        stands = speed < STANDING_MPS
+        if stands and trip.standing:
+            pass  # summed up, the noise of a standing receiver would grow into metres
+        elif step <= BRIDGE_S and last.speed is not None and point.speed is not None:
             trip.distance_m += 0.5 * (last.speed + point.speed) * step
         else:
-            trip.distance_m += way
-        chord = distance(*trip.anchor, point.lat, point.lon)
+            trip.distance_m += distance(last.lat, last.lon, point.lat, point.lon)
+        chord = distance(trip.anchor_lat, trip.anchor_lon, point.lat, point.lon)
         if chord >= CHORD_M:
             trip.position_distance_m += chord
-            trip.anchor = (point.lat, point.lon)
+            trip.anchor_lat, trip.anchor_lon = point.lat, point.lon
         if speed > MOVING_MPS:
             trip.moving_s += min(step, BRIDGE_S)
             trip.moved_at = point.t
             trip.max_speed = max(trip.max_speed, speed)
-        stands = speed < STANDING_MPS
         if not (stands and trip.standing):
             self.pieces[-1].points.append(point)
             trip.t_last = point.t

@@ -6,6 +6,7 @@ x forward, y right, z down, so what stands above the ground has negative z.  Met
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -237,7 +238,6 @@ def creases(loft: Loft) -> Floats:
         if index in (0, len(rings) - 1)
     ]
     lengthwise = [
-        np.stack([front[[2, 4, 7, 9]], back[[2, 4, 7, 9]]], axis=1)
-        for front, back in zip(rings, rings[1:], strict=False)
+        np.stack([front[[2, 4, 7, 9]], back[[2, 4, 7, 9]]], axis=1) for front, back in itertools.pairwise(rings)
     ]
     return np.concatenate([*around, *lengthwise])

@@ -5,8 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections import OrderedDict
-from collections.abc import Callable, Generator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import structlog
@@ -67,17 +66,11 @@ class ScenePool:
         self._tail = threading.Thread(target=self._follow, name="view3d-tail", daemon=True)
         self._tail.start()
 
-    @contextmanager
-    def looking_at(self, device_id: str) -> Generator[int]:
-        """The loopback port of the box's viser server, kept running within the block."""
-        port = self.enter(device_id)
-        try:
-            yield port
-        finally:
-            self.leave(device_id)
-
     def enter(self, device_id: str) -> int:
-        """Add an onlooker; returns the port.  Raises when the box does not exist or no place is left."""
+        """Add an onlooker; the loopback port of the box's server, which runs until he and all others `leave`.
+
+        Raises when the box does not exist or no place is left.
+        """
         with self._lock:
             stage = self._stages.get(device_id)
             if stage is None:
@@ -136,7 +129,7 @@ class ScenePool:
         while not self._closing.wait(self._poll_s):
             try:
                 self.refresh()
-            except Exception:  # the thread must outlive a database that is away for a while
+            except Exception:  # noqa: BLE001  the thread must outlive a database that is away for a while
                 _log.exception("view3d_refresh_failed")
 
     def refresh(self) -> None:

@@ -32,7 +32,7 @@ _A_LENGTH, _V_MARGIN = 1.05, 0.65
 
 
 def wxyz(matrix: Floats) -> Floats:
-    """viser's quaternion of a rotation matrix, shape (4,)."""
+    """Quaternion of a rotation matrix as viser wants it, shape (4,)."""
     return xyzw_to_wxyz(Rotation.from_matrix(matrix).as_quat())
 
 
@@ -42,6 +42,8 @@ class MountingScene:
     def __init__(self, server: viser.ViserServer) -> None:
         self._server = server
         self._vehicle_class = ""
+        self._body: viser.FrameHandle | None = None
+        self._mounting: viser.FrameHandle | None = None
         self._shown: MountingView | None = None
         server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="small")
         server.gui.set_panel_label("Mounting")
@@ -68,7 +70,9 @@ class MountingScene:
 
     def _draw_vehicle(self, body: Body) -> None:
         scene = self._server.scene
-        scene.add_frame("/vehicle/body", show_axes=False)
+        if self._body is not None:
+            self._body.remove()
+        self._body = scene.add_frame("/vehicle/body", show_axes=False)
         for index, loft in enumerate(body.lofts):
             vertices, faces = shell(loft)
             scene.add_mesh_simple(
@@ -126,8 +130,10 @@ class MountingScene:
     def _draw_box(self, view: MountingView) -> None:
         scene = self._server.scene
         body = BODIES.get(view.vehicle_class, BODIES["car"])
-        # Adding a node again removes the old one with all its children.
-        scene.add_frame("/vehicle/mounting", show_axes=False, position=body.box)
+        # Adding a node of the same name would keep the old one's children; removing it takes them along.
+        if self._mounting is not None:
+            self._mounting.remove()
+        self._mounting = scene.add_frame("/vehicle/mounting", show_axes=False, position=body.box)
         if view.R_va is None:
             self._draw_ghost(view)
         else:
@@ -200,10 +206,10 @@ def box_edges(scale: float) -> Floats:
 def panel_html(view: MountingView) -> str:
     """The words beside the scene; names come from users and are escaped."""
     colour = _STATE_COLOURS[view.state]
+    state = f"{html.escape(view.headline)} · {view.percent}&nbsp;%"
     lines = [
         f'<div style="font-size:12px;opacity:.7">{html.escape(view.title)}</div>',
-        f'<div style="font-size:16px;font-weight:600"><span style="color:{colour}">●</span>'
-        f" {html.escape(view.headline)} · {view.percent}&nbsp;%</div>",
+        f'<div style="font-size:16px;font-weight:600"><span style="color:{colour}">●</span> {state}</div>',
     ]
     if view.sigma is None:
         lines.append("<div>Orientation not known yet</div>")

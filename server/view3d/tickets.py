@@ -1,68 +1,28 @@
-"""Tickets: short-lived permission to open one box's 3D view, carried in the view's path.
-
-The view's page and socket cannot carry a token of their own, so the path does.  Only the
-ticket's hash is stored; a 192-bit random value needs no slow hash.
-"""
+"""Asking for a ticket to a 3D view."""
 
 from __future__ import annotations
 
 import datetime as dt
-import hashlib
-import secrets
-from dataclasses import dataclass
 
-from sqlalchemy import delete, select, update
-from sqlalchemy.orm import Session
+from fastapi import APIRouter
+from pydantic import BaseModel
 
-from server.errors import NotFoundError
-from server.models import Device, ViewTicket
+from server.accounts.access import Reader
+from server.edge import DatabaseOf, Now
+from server.view3d import permission
 
-LIFETIME = dt.timedelta(minutes=10)
-"""How long a ticket opens its view; an open view renews it, so that a dropped connection can come back."""
+router = APIRouter(tags=["3D view"])
 
 
-@dataclass(frozen=True, slots=True)
-class Ticket:
-    """A fresh ticket; `url` is the only place where its secret appears."""
-
+class ViewTicketOut(BaseModel):
     url: str
+    """Path of the view's page on this host; whoever knows it can open the view until it expires."""
     expires_at: dt.datetime
 
 
-def issue(session: Session, organisation_id: str, device_id: str, *, now: dt.datetime) -> Ticket:
-    """Make a ticket for a box of the organisation; tickets that expired are cleared away."""
-    device = session.get(Device, device_id)
-    if device is None or device.organisation_id != organisation_id:
-        raise NotFoundError(f"no device {device_id}")
-    session.execute(delete(ViewTicket).where(ViewTicket.expires_at <= now))
-    secret = secrets.token_urlsafe(24)
-    expires_at = now + LIFETIME
-    session.add(
-        ViewTicket(
-            ticket_hash=_digest(secret), organisation_id=organisation_id, device_id=device_id, expires_at=expires_at
-        )
-    )
-    return Ticket(f"/view3d/{secret}/{device_id}/", expires_at)
-
-
-def opens(session: Session, secret: str, device_id: str, *, now: dt.datetime) -> bool:
-    """Whether this ticket opens the view of this box now."""
-    found = session.scalar(
-        select(ViewTicket.device_id).where(
-            ViewTicket.ticket_hash == _digest(secret), ViewTicket.device_id == device_id, ViewTicket.expires_at > now
-        )
-    )
-    return found is not None
-
-
-def renew(session: Session, secret: str, *, now: dt.datetime) -> None:
-    """Let a ticket that has not expired live its full time from now."""
-    session.execute(
-        update(ViewTicket)
-        .where(ViewTicket.ticket_hash == _digest(secret), ViewTicket.expires_at > now)
-        .values(expires_at=now + LIFETIME)
-    )
-
-
-def _digest(secret: str) -> str:
-    return hashlib.sha256(secret.encode()).hexdigest()
+@router.post("/api/v1/devices/{device_id}/view-ticket", status_code=201)
+def issue_ticket(device_id: str, caller: Reader, database: DatabaseOf, now: Now) -> ViewTicketOut:
+    """A path under which the device's 3D view opens for ten minutes, in a frame or by itself."""
+    with database.transaction() as session:
+        ticket = permission.issue(session, caller.organisation_id, device_id, now=now)
+    return ViewTicketOut(url=ticket.url, expires_at=ticket.expires_at)

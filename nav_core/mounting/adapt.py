@@ -1,0 +1,66 @@
+"""Noise levels that suit the drive at hand, by likelihood.
+
+Receivers, roads and cars differ by factors.  A drive that is rougher than the model would make its
+own estimate look better than it is, and weigh the wrong measurements; so the levels are raised
+while that makes the recording more likely.  They are never lowered: a smooth drive earns no credit.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from nav_core.mounting.model import Noise, Record, pitch_plane, yaw_plane
+from nav_core.mounting.whitening import whiten
+from nav_core.typing import Floats
+
+_LADDER = (1.0, 1.5, 2.2, 3.3, 5.0, 8.0)
+_PITCH_LEVELS = (("speed_white", "speed_slow"), ("heave",), ("force", "relative"), ("slope",))
+_YAW_LEVELS = (("across_white", "across_slow"), ("bank",), ("relative_turn",))
+GAIN = 6.0
+"""A step up must raise twice the log likelihood by this much."""
+
+
+def adapted(record: Record, R_va: Floats, lags: tuple[float, float], noise: Noise, p: Floats, limit: float) -> Noise:
+    """Noise levels that explain the record at a given mounting.
+
+    Parameters
+    ----------
+    record : Record
+        A representative stretch.
+    R_va : ndarray, shape (3, 3)
+    lags : tuple of float
+        Of GPS speed and course, s.
+    noise : Noise
+        Where to begin.
+    p : ndarray, shape (13,)
+    limit : float
+        Robust limit, sigmas.
+
+    Returns
+    -------
+    Noise
+        No level below that of `noise`.
+    """
+    block = np.zeros(record.fixes.t.size, dtype=np.int64)
+
+    def pitch_cost(trial: Noise) -> float:
+        evidence = whiten(pitch_plane(record, R_va, lags[0], trial), block, 1, p, limit=limit)
+        return float((evidence.misfit(p) + evidence.log_det).sum())
+
+    def yaw_cost(trial: Noise) -> float:
+        evidence = whiten(yaw_plane(record, R_va, lags, trial), block, 1, p, limit=limit)
+        return float((evidence.misfit(p) + evidence.log_det).sum())
+
+    found = noise
+    for groups, cost in ((_PITCH_LEVELS, pitch_cost), (_YAW_LEVELS, yaw_cost)):
+        best = cost(found)
+        for group in groups:
+            for step in _LADDER[1:]:
+                trial = replace(found, **{name: getattr(noise, name) * step for name in group})
+                now = cost(trial)
+                if now > best - GAIN:
+                    break
+                found, best = trial, now
+    return found

@@ -1,0 +1,144 @@
+"""Gauss-Newton on the evidence of both planes: from a start to the best mounting and what it rests on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from nav_core.mounting.closed_form import Start
+from nav_core.mounting.model import (
+    BIAS,
+    COURSE_LAG,
+    SPEED_LAG,
+    TURN,
+    UNKNOWNS,
+    Noise,
+    Record,
+    blocks_of,
+    pitch_plane,
+    prior,
+    yaw_plane,
+)
+from nav_core.mounting.whitening import Evidence, whiten
+from nav_core.typing import Floats
+
+BLOCK = 5.0
+"""Length of the stretches whose evidence is kept apart, s."""
+
+HUBER = 3.0
+"""Innovations beyond this many sigmas are weighted down."""
+
+MAX_LAG = 2.5
+_PASSES = 8
+_MAX_TURN = 0.4
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """The best mounting of a record, and the evidence by stretches of `BLOCK` seconds.
+
+    Attributes
+    ----------
+    R_va : ndarray, shape (3, 3)
+    p : ndarray, shape (13,)
+        The other unknowns where they came to rest (turn and lag corrections are zero).
+    speed_lag, course_lag : float
+        s.
+    noise : Noise
+        What the record was weighed with.
+    gram : ndarray, shape (blocks, 14, 14)
+        Whitened products at the solution, both planes together.
+    misfit, count : ndarray, shape (blocks, 4)
+        Squared whitened innovations and their number: speed, height, climb, course.
+    prior : ndarray, shape (13,)
+        Diagonal information of the unknowns before the drive.
+    prior_pull : ndarray, shape (13,)
+        Prior information times prior mean.
+    begin : float
+        Box time at which the first stretch begins, s.
+    """
+
+    R_va: Floats
+    p: Floats
+    speed_lag: float
+    course_lag: float
+    noise: Noise
+    gram: Floats
+    misfit: Floats
+    count: Floats
+    prior: Floats
+    prior_pull: Floats
+    begin: float
+
+    def solve(self, gram: Floats) -> tuple[Floats, Floats]:
+        """Unknowns and covariance from some of the evidence, shapes (..., 13) and (..., 13, 13)."""
+        information = gram[..., 1:, 1:] + np.diag(self.prior + 1e-6)
+        covariance = np.linalg.inv(information)
+        pull = self.prior_pull - gram[..., 1:, 0]
+        return np.einsum("...ij,...j->...i", covariance, pull), covariance
+
+
+def weigh(record: Record, R_va: Floats, lags: tuple[float, float], noise: Noise, p: Floats, limit: float) -> Evidence:
+    """Evidence of both planes at a mounting, the four kinds of measurement side by side."""
+    block = blocks_of(record.fixes.t, record.fixes.t[0], BLOCK)
+    count = int(block[-1]) + 1
+    pitch = whiten(pitch_plane(record, R_va, lags[0], noise), block, count, p, limit=limit)
+    yaw = whiten(yaw_plane(record, R_va, lags, noise), block, count, p, limit=limit)
+    return Evidence(*(np.concatenate(pair, axis=1) for pair in zip(pitch, yaw, strict=True)))
+
+
+def likely_bias(noise: Noise, seen: float) -> Noise:
+    """The bias prior after one of three components has been seen.
+
+    The vertical one shows in the magnitude of gravity; a bad accelerometer is bad in all axes.
+    Inverse-gamma prior of the variance with two degrees of freedom.
+    """
+    return replace(noise, bias=float(np.sqrt((2.0 * noise.bias**2 + seen**2) / 3.0)))
+
+
+def refine(record: Record, start: Start, noise: Noise) -> Fit:
+    """Maximum a posteriori mounting.
+
+    Parameters
+    ----------
+    record : Record
+    start : Start
+        Within some tens of degrees of the truth.
+    noise : Noise
+
+    Returns
+    -------
+    Fit
+    """
+    R_va, lags = start.R_va, (start.speed_lag, start.course_lag)
+    p = np.zeros(UNKNOWNS)
+    base = noise
+    for number in range(_PASSES):
+        evidence = weigh(record, R_va, lags, noise, p, HUBER if number else np.inf)
+        diagonal, mean = prior(noise, lags)
+        gram = evidence.gram.sum((0, 1))
+        p = np.linalg.solve(gram[1:, 1:] + np.diag(diagonal + 1e-6), diagonal * mean - gram[1:, 0])
+        turn = p[TURN] * min(1.0, _MAX_TURN / max(float(np.linalg.norm(p[TURN])), 1e-9))
+        shift = p[[SPEED_LAG, COURSE_LAG]]
+        settled = float(np.linalg.norm(turn)) < 3e-4 and float(np.abs(shift).max()) < 0.01
+        if number and settled:
+            break
+        R_va = Rotation.from_rotvec(turn).as_matrix() @ R_va
+        lags = (float(np.clip(lags[0] + shift[0], 0.0, MAX_LAG)), float(np.clip(lags[1] + shift[1], 0.0, MAX_LAG)))
+        p[TURN] = p[[SPEED_LAG, COURSE_LAG]] = 0.0
+        noise = likely_bias(base, float(p[BIAS][2]))
+    return Fit(
+        R_va=R_va,
+        p=p,
+        speed_lag=lags[0],
+        course_lag=lags[1],
+        noise=noise,
+        gram=evidence.gram.sum(1),
+        misfit=evidence.misfit(p),
+        count=evidence.count,
+        prior=diagonal,
+        prior_pull=diagonal * mean,
+        begin=float(record.fixes.t[0]),
+    )

@@ -1,0 +1,130 @@
+"""Organisations, signing in, sessions, and who a credential belongs to."""
+
+from __future__ import annotations
+
+import datetime as dt
+from dataclasses import dataclass
+
+from sqlalchemy import delete, select
+from sqlalchemy.orm import Session
+
+from server.accounts.access import Caller
+from server.accounts.secrets import hash_of, new_code, new_token
+from server.errors import UnauthenticatedError
+from server.models import Device, Organisation, SignInCode, ViewTicket, WebSession
+
+SESSION_LIFE = dt.timedelta(hours=12)
+CODE_LIFE = dt.timedelta(hours=24)
+# A session slides in steps, so that not every request writes.
+_SLIDE_STEP = dt.timedelta(minutes=10)
+
+
+@dataclass(frozen=True, slots=True)
+class OpenedSession:
+    """A session that was just opened; `token` goes into the cookie and is kept nowhere."""
+
+    token: str
+    csrf_token: str
+    expires_at: dt.datetime
+
+
+def default_organisation(session: Session) -> Organisation | None:
+    """The organisation of the administrator's token: the first one."""
+    return session.scalar(select(Organisation).order_by(Organisation.created_at, Organisation.id).limit(1))
+
+
+def ensure_organisation(session: Session, *, now: dt.datetime) -> Organisation:
+    """The default organisation, made when there is none."""
+    organisation = default_organisation(session)
+    if organisation is None:
+        organisation = Organisation(name="Fleet", created_at=now)
+        session.add(organisation)
+        session.flush()
+    return organisation
+
+
+def first_sign_in(session: Session, *, now: dt.datetime) -> str | None:
+    """A one-time code to print at start, unless somebody is signed in; it voids earlier unused ones."""
+    if session.scalar(select(WebSession.id).where(WebSession.expires_at > now).limit(1)) is not None:
+        return None
+    session.execute(delete(SignInCode).where(SignInCode.used_at.is_(None)))
+    return new_sign_in_code(session, ensure_organisation(session, now=now).id, now=now)
+
+
+def new_sign_in_code(session: Session, organisation_id: str, *, now: dt.datetime) -> str:
+    """A one-time code that opens a session within a day."""
+    code = new_code()
+    session.add(
+        SignInCode(
+            code_hash=hash_of(code), organisation_id=organisation_id, created_at=now, expires_at=now + CODE_LIFE
+        )
+    )
+    return code
+
+
+def redeem(session: Session, code: str, *, now: dt.datetime) -> OpenedSession:
+    """Open a session with a one-time code."""
+    # The row is locked, so that a code that is sent twice at once opens one session.
+    row = session.get(SignInCode, hash_of(code), with_for_update=True)
+    if row is None or row.used_at is not None or row.expires_at <= now:
+        raise UnauthenticatedError("The code is not valid, or was used already", code="sign_in_failed")
+    row.used_at = now
+    return open_session(session, row.organisation_id, now=now)
+
+
+def open_session(session: Session, organisation_id: str, *, now: dt.datetime) -> OpenedSession:
+    """A session for a browser; sessions that ran out are forgotten on the way."""
+    session.execute(delete(WebSession).where(WebSession.expires_at <= now))
+    opened = OpenedSession(token=new_token(), csrf_token=new_token(), expires_at=now + SESSION_LIFE)
+    session.add(
+        WebSession(
+            token_hash=hash_of(opened.token),
+            csrf_token=opened.csrf_token,
+            organisation_id=organisation_id,
+            created_at=now,
+            expires_at=opened.expires_at,
+        )
+    )
+    return opened
+
+
+def close_session(session: Session, session_id: str) -> None:
+    """Sign out."""
+    session.execute(delete(WebSession).where(WebSession.id == session_id))
+
+
+def session_of(session: Session, token: str, *, now: dt.datetime) -> WebSession | None:
+    """The live session of a cookie."""
+    return session.scalar(
+        select(WebSession).where(WebSession.token_hash == hash_of(token), WebSession.expires_at > now)
+    )
+
+
+def due_to_slide(row: WebSession, *, now: dt.datetime) -> bool:
+    """Whether a session's end should move."""
+    return row.expires_at < now + SESSION_LIFE - _SLIDE_STEP
+
+
+def slide(session: Session, session_id: str, *, now: dt.datetime) -> None:
+    """Let a session live on from now."""
+    row = session.get(WebSession, session_id)
+    if row is not None:
+        row.expires_at = now + SESSION_LIFE
+
+
+def device_of(session: Session, token: str) -> Caller | None:
+    """The box that a bearer token belongs to; none once it is revoked."""
+    row = session.execute(
+        select(Device.id, Device.organisation_id).where(
+            Device.token_hash == hash_of(token), Device.revoked_at.is_(None)
+        )
+    ).first()
+    return None if row is None else Caller(row.organisation_id, "device", device_id=row.id)
+
+
+def ticket_of(session: Session, ticket: str, device_id: str, *, now: dt.datetime) -> Caller | None:
+    """The view that a ticket opens."""
+    row = session.get(ViewTicket, hash_of(ticket))
+    if row is None or row.device_id != device_id or row.expires_at <= now:
+        return None
+    return Caller(row.organisation_id, "ticket", device_id=device_id)

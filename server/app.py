@@ -1,0 +1,108 @@
+"""The application: what it is made of, in which order, and what runs around every request."""
+
+from __future__ import annotations
+
+import datetime as dt
+from collections.abc import AsyncGenerator
+from contextlib import asynccontextmanager
+from importlib import metadata
+from importlib.util import find_spec
+from importlib import import_module
+
+from anyio import CapacityLimiter
+from fastapi import FastAPI
+from starlette.concurrency import run_in_threadpool
+from starlette.staticfiles import StaticFiles
+
+from server import health, problems
+from server.accounts import routes as accounts
+from server.accounts.gate import AccessGate
+from server.accounts.service import ensure_organisation
+from server.database import Database
+from server.devices import routes as devices
+from server.edge import Clock
+from server.headers import SecurityHeaders
+from server.ingest import routes as ingest
+from server.limits import BodyLimit, TokenBuckets
+from server.migrations import is_current
+from server.pages import templating
+from server.resources import folder
+from server.settings import Settings
+from server.store import open_store
+from server.telemetry import RequestTelemetry, Telemetry, log
+from server.vehicles import routes as vehicles
+
+MAX_JSON_BYTES = 1024 * 1024
+# Decoding is work for a core and holds a batch in memory several times over.
+CONCURRENT_UPLOADS = 8
+
+
+def utc_now() -> dt.datetime:
+    """The time, unless a test brings its own."""
+    return dt.datetime.now(dt.UTC)
+
+
+def _nobody_to_wake(device_id: str) -> None:
+    """Stand-in until a supervisor or broker wants to know; the worker also looks by itself."""
+    del device_id
+
+
+@asynccontextmanager
+async def _lifespan(app: FastAPI) -> AsyncGenerator[None]:
+    def prepare() -> None:
+        database: Database = app.state.database
+        if not is_current(database.engine):
+            log.warning("the database is not migrated to this version")
+            return
+        with database.transaction() as session:
+            ensure_organisation(session, now=app.state.clock())
+
+    await run_in_threadpool(prepare)
+    yield
+    app.state.database.dispose()
+
+
+def create_app(settings: Settings, *, clock: Clock = utc_now) -> FastAPI:
+    """Application on the settings' database and store.
+
+    Its `state` has `settings`, `database`, `store`, `clock` and `wake`, which is called with the id
+    of a device that became due and may be replaced.
+    """
+    app = FastAPI(
+        title="Scatola",
+        version=metadata.version("scatola"),
+        lifespan=_lifespan,
+        docs_url=None,
+        redoc_url=None,
+        swagger_ui_oauth2_redirect_url=None,
+    )
+    state = app.state
+    state.settings = settings
+    state.database = Database(settings)
+    state.store = open_store(settings)
+    state.clock = clock
+    state.wake = _nobody_to_wake
+    state.readiness = health.Readiness()
+    state.telemetry = telemetry = Telemetry()
+    state.login_attempts = TokenBuckets(accounts.LOGIN_ATTEMPTS_PER_MINUTE)
+    state.uploads = TokenBuckets(settings.device_requests_per_minute)
+    state.upload_slots = CapacityLimiter(CONCURRENT_UPLOADS)
+    telemetry.watch(lambda: health.backlog_figures(app))
+
+    problems.install(app)
+    templating.install(app)
+    for router in (health.router, accounts.router, devices.router, vehicles.router, ingest.router):
+        app.include_router(router)
+    for name in ("installations", "trips", "live", "signals", "view3d.tickets", "view3d.proxy", "pages"):
+        module = f"server.{name}" if "." in name else f"server.{name}.routes"
+        if find_spec(module) is not None:
+            app.include_router(import_module(module).router)
+    app.mount("/static/vendor", StaticFiles(directory=folder("web") / "vendor", check_dir=False))
+    app.mount("/static", StaticFiles(directory=folder("web") / "static", check_dir=False))
+
+    # The last that is added is the outermost.
+    app.add_middleware(BodyLimit, max_bytes=MAX_JSON_BYTES, except_paths=frozenset({ingest.PATH}))
+    app.add_middleware(AccessGate)
+    app.add_middleware(SecurityHeaders, settings=settings)
+    app.add_middleware(RequestTelemetry, telemetry=telemetry)
+    return app

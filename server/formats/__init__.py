@@ -1,0 +1,1 @@
+"""Reading and writing what boxes and files hold: every format becomes `Columns`, checked once."""

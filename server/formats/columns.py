@@ -1,0 +1,166 @@
+"""Columns of float64: the one form that every format is decoded to."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from server.errors import InvalidError
+
+Floats = NDArray[np.float64]
+
+# Name, in the canonical order of the drive file, and the range outside which a value means nothing.
+# The ranges are wide: they catch wrong units and broken decoders, not bad sensors.
+RANGES: dict[str, tuple[float, float]] = {
+    "t": (-1e10, 1e10),
+    **dict.fromkeys(("fx", "fy", "fz"), (-1e5, 1e5)),  # m/s²
+    **dict.fromkeys(("wx", "wy", "wz"), (-1e3, 1e3)),  # rad/s
+    **dict.fromkeys(("mx", "my", "mz"), (-1e6, 1e6)),  # µT
+    "temp": (-273.15, 1000.0),
+    "lat": (-90.0, 90.0),
+    "lon": (-180.0, 180.0),
+    "alt": (-12_000.0, 100_000.0),
+    "speed": (0.0, 1000.0),
+    "course": (-360.0, 360.0),
+    "fix": (0.0, 1.0),
+    "hdop": (0.0, 10_000.0),
+    "sats": (0.0, 1000.0),
+    "utc": (0.0, 1e11),
+    "battery": (0.0, 1000.0),
+    "ignition": (0.0, 1.0),
+}
+NAMES = tuple(RANGES)
+_FLAGS = ("fix", "ignition")
+# A vector with a component missing is no vector; a position needs both coordinates.
+_TOGETHER = (("fx", "fy", "fz"), ("wx", "wy", "wz"), ("mx", "my", "mz"), ("lat", "lon"))
+_HASH_HEAD = b"scatola-columns-1\n"
+_ONE_NAN = np.array([0x7FF8000000000000], dtype="<u8").view("<f8")[0]
+
+
+@dataclass(frozen=True, eq=False)
+class Columns:
+    """Equally long float64 columns in the canonical order; NaN where not sampled.
+
+    Parameters
+    ----------
+    values : mapping of str to ndarray, shape (n,)
+        Names and units of the drive file; `t` must be there.
+
+    Raises
+    ------
+    InvalidError
+        An unknown name, no `t`, unequal lengths.
+    """
+
+    values: dict[str, Floats]
+
+    def __post_init__(self) -> None:
+        check_names(self.values)
+        ordered: dict[str, Floats] = {}
+        for name in NAMES:
+            if name in self.values:
+                column = np.ascontiguousarray(self.values[name], dtype=np.float64).view()
+                if column.shape != (len(self.values["t"]),):
+                    raise InvalidError(
+                        f"Column {name!r} has {column.size} rows, t has {len(self.values['t'])}", column=name
+                    )
+                column.flags.writeable = False
+                ordered[name] = column
+        object.__setattr__(self, "values", ordered)
+
+    @property
+    def rows(self) -> int:
+        """Number of rows."""
+        return int(self.values["t"].size)
+
+    def column_sha256(self) -> str:
+        """Canonical hash of names, types and values, whatever file they came in (docs/device-protocol.md)."""
+        digest = hashlib.sha256(_HASH_HEAD)
+        for name, column in self.values.items():
+            # Not-a-number has many bit patterns; one stands for all.
+            values = np.where(np.isnan(column), _ONE_NAN, column).astype("<f8")
+            digest.update(f"{name} <f8 {values.size}\n".encode())
+            digest.update(values.tobytes())
+        return digest.hexdigest()
+
+    def to_parquet(self) -> bytes:
+        """The stored form: Parquet with zstd, null where not sampled."""
+        from server.formats.parquet import write
+
+        return write(self)
+
+    @staticmethod
+    def from_parquet(data: bytes) -> Columns:
+        """Read the stored form back."""
+        from server.formats.parquet import read
+
+        return read(data, max_decoded_bytes=None)
+
+
+def check_names(names: Mapping[str, object] | tuple[str, ...]) -> None:
+    """Raise unless all names are known and `t` is among them."""
+    unknown = sorted(set(names) - set(NAMES))
+    if unknown:
+        raise InvalidError(f"Unknown columns: {', '.join(repr(name[:40]) for name in unknown[:5])}", code="columns")
+    if "t" not in names:
+        raise InvalidError("There is no column t", code="columns", column="t")
+    for group in _TOGETHER:
+        given = [name for name in group if name in names]
+        if given and len(given) != len(group):
+            raise InvalidError(f"Columns {', '.join(group)} come together; only {', '.join(given)} given", code="columns")
+
+
+def check_size(rows: int, columns: int, max_decoded_bytes: int | None) -> None:
+    """Raise before columns are made that would not fit."""
+    from server.errors import TooLargeError
+
+    if max_decoded_bytes is not None and rows * columns * 8 > max_decoded_bytes:
+        raise TooLargeError(f"{rows} rows of {columns} columns are more than {max_decoded_bytes} bytes once decoded")
+
+
+def not_finite(column: str, row: int) -> InvalidError:
+    """NaN or infinity came in where a number or nothing is allowed."""
+    return InvalidError(
+        f"Column {column!r}, row {row} (from 0) is NaN or infinite; leave out what was not sampled",
+        code="not_finite",
+        column=column,
+        row=row,
+    )
+
+
+def check_values(columns: Columns) -> None:
+    """Raise unless every value can mean something: ranges, whole vectors, a time in every row."""
+    if columns.rows == 0:
+        raise InvalidError("There are no rows", code="empty")
+    missing = np.isnan(columns.values["t"])
+    if missing.any():
+        row = int(np.argmax(missing))
+        raise InvalidError(f"Row {row} (from 0) has no t", code="no_time", column="t", row=row)
+    for name, column in columns.values.items():
+        low, high = RANGES[name]
+        bad = (column < low) | (column > high)
+        if name in _FLAGS:
+            bad |= (column != 0.0) & (column != 1.0) & ~np.isnan(column)
+        if bad.any():
+            row = int(np.argmax(bad))
+            wanted = "0 or 1" if name in _FLAGS else f"{low:g}..{high:g}"
+            raise InvalidError(
+                f"Column {name!r}, row {row} (from 0) is {column[row]:g}, expected {wanted}",
+                code="out_of_range",
+                column=name,
+                row=row,
+            )
+    for group in _TOGETHER:
+        if group[0] not in columns.values:
+            continue
+        sampled = np.array([~np.isnan(columns.values[name]) for name in group])
+        partial = sampled.any(axis=0) & ~sampled.all(axis=0)
+        if partial.any():
+            row = int(np.argmax(partial))
+            raise InvalidError(
+                f"Row {row} (from 0) has only some of {', '.join(group)}", code="partial", column=group[0], row=row
+            )

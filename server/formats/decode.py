@@ -1,0 +1,71 @@
+"""From a request's body to checked columns, by media type."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Protocol
+
+from server.errors import UnsupportedMediaError
+from server.formats.columns import Columns, check_values
+
+
+class _Reader(Protocol):
+    def __call__(self, body: bytes, *, max_decoded_bytes: int) -> Columns: ...
+
+
+def _json() -> _Reader:
+    from server.formats.json_text import read
+
+    return read
+
+
+def _csv() -> _Reader:
+    from server.formats.csv_text import read
+
+    return read
+
+
+def _parquet() -> _Reader:
+    from server.formats.parquet import read
+
+    return read
+
+
+def _arrow() -> _Reader:
+    from server.formats.arrow import read
+
+    return read
+
+
+_READERS: dict[str, Callable[[], _Reader]] = {
+    "application/json": _json,
+    "text/csv": _csv,
+    "application/vnd.apache.parquet": _parquet,
+    "application/vnd.apache.arrow.stream": _arrow,
+}
+
+
+def media_type_of(content_type: str) -> str:
+    """The media type without its parameters; refused when we cannot read it."""
+    essence, *parameters = (part.strip().lower() for part in content_type.split(";"))
+    if essence not in _READERS:
+        raise UnsupportedMediaError(f"Send one of {', '.join(_READERS)}; not {essence[:100]!r}")
+    for parameter in parameters:
+        if parameter.startswith("charset=") and parameter.strip('"') not in ("charset=utf-8", "charset=us-ascii"):
+            charset = parameter.removeprefix("charset=").strip('"')
+            if charset not in ("utf-8", "us-ascii"):
+                raise UnsupportedMediaError(f"Send UTF-8, not {charset[:40]!r}")
+    return essence
+
+
+def decode(media_type: str, body: bytes, *, max_decoded_bytes: int) -> Columns:
+    """Checked columns of a body.
+
+    Raises
+    ------
+    InvalidError, TooLargeError
+        The body does not say what the contract allows, or unpacks to too much.
+    """
+    columns = _READERS[media_type]()(body, max_decoded_bytes=max_decoded_bytes)
+    check_values(columns)
+    return columns

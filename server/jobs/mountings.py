@@ -1,0 +1,268 @@
+"""Installations out of data: when to estimate again, and what a moved box means for the rows.
+
+Cadence, in terms of new data of an installation: the first data at once; then every `EAGER_S` of driving until the
+mounting is ready, every `CALM_S` after that, every `SLOW_S` from `SETTLED_S` after its beginning; standing
+data alone every `STANDING_S`.  What is left over when a box falls silent is used at its review.  So the last
+estimate always rests on all data, in whatever order it came.
+"""
+
+from __future__ import annotations
+
+import datetime as dt
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import structlog
+
+from nav_core.records import Gnss, MountingEstimate
+from nav_core.signal import Ticks
+from server.installations.blank import blank_result
+from server.installations.result import mount_json
+from server.jobs.results import Results
+from server.jobs.situation import Situation
+from server.jobs.stretch import Piece, Stretch, assemble, newest
+from server.models import Assignment, Installation, MountingRevision, new_id
+
+Estimator = Callable[[Ticks, Gnss], MountingEstimate]
+
+ALGORITHM = "whole-drive/1"
+EAGER_S = 20.0
+CALM_S = 60.0
+SLOW_S = 120.0
+SETTLED_S = 1800.0
+STANDING_S = 300.0
+
+MOVE_GUARD_S = 10.0
+"""Data this close to a move is left out on both sides: its moment is known to some seconds."""
+
+SAME_MOVE_S = 60.0
+"""A move found this soon after a move is the same one, seen better."""
+
+REVISION_S = 600.0
+"""A ready mounting gets a new revision at most this often, in terms of data."""
+
+log = structlog.stdlib.get_logger("scatola.jobs")
+
+
+@dataclass(slots=True)
+class Sources:
+    """Where stored data comes from: pieces between two UTC times, and an installation's newest revision."""
+
+    pieces: Callable[[float, float], list[Piece]]
+    last_revision: Callable[[str], MountingRevision | None]
+
+
+class Mountings:
+    """The installations of one device during one round."""
+
+    def __init__(
+        self,
+        situation: Situation,
+        new: Sequence[Piece],
+        sources: Sources,
+        results: Results,
+        *,
+        estimator: Estimator,
+        now: dt.datetime,
+    ) -> None:
+        self._situation = situation
+        self._new = new
+        self._sources = sources
+        self._results = results
+        self._estimator = estimator
+        self._now = now
+        self.rows = sorted(situation.installations, key=lambda row: row.began_at)
+        self._data_end_s = max((boot.unix_s(boot.t_last_s) for boot in situation.boots.values()), default=0.0)
+
+    def take_in(self) -> None:
+        """Give the new data to the installations it belongs to, making rows where there are none yet."""
+        boots = self._situation.boots
+        if self.rows and self.rows[0].beginning == "first":
+            begin = min(boot.unix_s(boot.t_first_s) for boot in boots.values())
+            self.rows[0].began_at = _utc(begin)
+            self._results.put(self.rows[0])
+        for piece in self._new:
+            middle = boots[piece.boot].unix_s(0.5 * (piece.t_first_s + piece.t_last_s))
+            row = self._row_at(_utc(middle), begin_s=boots[piece.boot].unix_s(piece.t_first_s))
+            row.unestimated_s += piece.t_last_s - piece.t_first_s
+            row.unestimated_moving_s += piece.digest.moving_s
+            self._results.put(row)
+
+    def estimate_due(self, *, all_pending: bool) -> None:
+        """Estimate what the cadence asks for, or everything that has unused data."""
+        for row in list(self.rows):
+            if is_due(row, data_end_s=self._data_end_s, all_pending=all_pending):
+                self._estimate(row)
+
+    @property
+    def pending(self) -> bool:
+        """Whether data waits for an estimate."""
+        return any(row.unestimated_s > 0.0 for row in self.rows)
+
+    def _row_at(self, at: dt.datetime, *, begin_s: float) -> Installation:
+        if not self.rows:
+            return self._add("first", _utc(begin_s), vehicle_at(self._situation.assignments, _utc(begin_s)))
+        row = next((row for row in reversed(self.rows) if row.began_at <= at), self.rows[0])
+        if row is self.rows[-1] and row.ended_at is not None and at >= row.ended_at:
+            # A swap ended the last one and nothing moved since: the box begins anew in its new vehicle.
+            return self._add("swapped", row.ended_at, self._situation.device.vehicle_id)
+        return row
+
+    def _add(self, beginning: str, began_at: dt.datetime, vehicle_id: str | None) -> Installation:
+        result = blank_result(beginning)
+        row = Installation(
+            id=new_id(),
+            device_id=self._situation.device.id,
+            vehicle_id=vehicle_id,
+            began_at=began_at,
+            ended_at=None,
+            beginning=beginning,
+            updated_at=self._now,
+            status=result["status"],
+            progress=0.0,
+            result=result,
+            algorithm=ALGORITHM,
+            input_sha256="",
+            unestimated_s=0.0,
+            unestimated_moving_s=0.0,
+        )
+        self.rows.append(row)
+        self.rows.sort(key=lambda other: other.began_at)
+        self._results.put(row)
+        return row
+
+    def _bounds(self, row: Installation) -> tuple[float, float]:
+        """UTC between which the row's data lies, without the moments around a move."""
+        at = self.rows.index(row)
+        after = self.rows[at + 1] if at + 1 < len(self.rows) else None
+        since = row.began_at.timestamp() + (MOVE_GUARD_S if row.beginning == "moved" else 0.0)
+        if row.beginning == "first":
+            since -= 1.0  # the ticks' window reaches a little before the first sample
+        until = row.ended_at.timestamp() if row.ended_at else float("inf")
+        if after is not None and after.beginning == "moved":
+            until -= MOVE_GUARD_S
+        return since, until
+
+    def _stretch(self, row: Installation) -> Stretch | None:
+        since, until = self._bounds(row)
+        boots = self._situation.boots
+        inside = [
+            piece
+            for piece in self._new
+            if boots[piece.boot].unix_s(piece.t_last_s) > since and boots[piece.boot].unix_s(piece.t_first_s) < until
+        ]
+        pieces = newest([*self._sources.pieces(since, until), *inside], boots)
+        return assemble(pieces, boots).between(since, until) if pieces else None
+
+    def _estimate(self, row: Installation) -> None:
+        stretch = self._stretch(row)
+        if stretch is None:
+            row.unestimated_s = row.unestimated_moving_s = 0.0
+            return
+        estimate = self._run(stretch)
+        moves = [] if estimate is None else [(stretch.unix_s(c.t), c.angle) for c in estimate.changes]
+        if moves and row.beginning == "moved" and moves[0][0] - row.began_at.timestamp() < SAME_MOVE_S:
+            self._shift_beginning(row, moves.pop(0)[0])
+            estimate = self._run(stretch.between(*self._bounds(row)))
+        if not moves:
+            self._record(row, estimate, stretch)
+            return
+        parts = [row, *(self._moved(row, unix, angle) for unix, angle in moves)]
+        for earlier, later in pairwise(parts):
+            later.ended_at = earlier.ended_at
+            earlier.ended_at = later.began_at
+        for part in parts:
+            own = stretch.between(*self._bounds(part))
+            self._record(part, self._run(own), own, keep_ready=part is row)
+
+    def _moved(self, row: Installation, unix_s: float, angle: float) -> Installation:
+        moved = self._add("moved", _utc(unix_s), row.vehicle_id)
+        moved.moved_angle_rad = angle
+        self._results.announce(
+            "moved", moved.vehicle_id, installation_id=moved.id, moved_at=moved.began_at.isoformat(), angle_rad=angle
+        )
+        return moved
+
+    def _shift_beginning(self, row: Installation, unix_s: float) -> None:
+        before = self.rows[self.rows.index(row) - 1]
+        row.began_at = before.ended_at = _utc(unix_s)
+        self._results.put(before)
+
+    def _run(self, stretch: Stretch) -> MountingEstimate | None:
+        if stretch.ticks.index.size == 0:
+            return None
+        try:
+            return self._estimator(stretch.ticks, stretch.gnss)
+        except (ValueError, ArithmeticError):
+            # Typed errors of nav_core and of linear algebra: bad data must not keep the batches from being worked off.
+            log.exception("estimate failed", device_id=self._situation.device.id, input_sha256=stretch.input_sha256)
+            return None
+
+    def _record(
+        self, row: Installation, estimate: MountingEstimate | None, stretch: Stretch, *, keep_ready: bool = False
+    ) -> None:
+        row.unestimated_s = row.unestimated_moving_s = 0.0
+        self._results.put(row)
+        if estimate is None:
+            return
+        self._results.estimates += 1
+        result = mount_json(estimate)
+        self._revise(row, result, estimate.progress, stretch)
+        if row.beginning == "manual":
+            return  # said by somebody who looked; the estimate stands beside it as a revision
+        if keep_ready and row.status == "ready" and estimate.status != "ready":
+            return  # less data before the move than the estimate of then had
+        row.result, row.status, row.progress = result, estimate.status, estimate.progress
+        row.algorithm, row.input_sha256, row.updated_at = ALGORITHM, stretch.input_sha256, self._now
+        self._results.announce(
+            "installation", row.vehicle_id, installation_id=row.id, status=row.status, percent=result["percent"]
+        )
+
+    def _revise(self, row: Installation, result: dict[str, object], progress: float, stretch: Stretch) -> None:
+        data_at = _utc(stretch.end_unix_s)
+        status = str(result["status"])
+        last = self._sources.last_revision(row.id)
+        settled = last is not None and status == last.status == "ready"
+        if settled and abs((data_at - last.data_at).total_seconds()) < REVISION_S:
+            return
+        self._results.revisions.append(
+            MountingRevision(
+                id=new_id(),
+                installation_id=row.id,
+                data_at=data_at,
+                created_at=self._now,
+                status=status,
+                progress=progress,
+                result=result,
+                algorithm=ALGORITHM,
+                input_sha256=stretch.input_sha256,
+            )
+        )
+
+
+def is_due(row: Installation, *, data_end_s: float, all_pending: bool) -> bool:
+    """Whether the cadence asks for an estimate of this installation; the device's data ends at that UTC."""
+    if row.unestimated_s <= 0.0:
+        return False
+    if all_pending or not row.input_sha256 or row.unestimated_s >= STANDING_S:
+        return True
+    if row.status != "ready":
+        return row.unestimated_moving_s >= EAGER_S
+    settled = data_end_s - row.began_at.timestamp() >= SETTLED_S
+    return row.unestimated_moving_s >= (SLOW_S if settled else CALM_S)
+
+
+def vehicle_at(assignments: Sequence[Assignment], at: dt.datetime) -> str | None:
+    """Vehicle that carried the box; before its first assignment already that vehicle, as recordings may be older."""
+    if not assignments:
+        return None
+    covering = [a for a in assignments if a.began_at <= at]
+    if not covering:
+        return assignments[0].vehicle_id
+    last = covering[-1]
+    return last.vehicle_id if last.ended_at is None or at < last.ended_at else None
+
+
+def _utc(unix_s: float) -> dt.datetime:
+    return dt.datetime.fromtimestamp(unix_s, dt.UTC)

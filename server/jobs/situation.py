@@ -1,0 +1,143 @@
+"""What the worker reads of a device: one view before the work, and stored digests where it needs them."""
+
+from __future__ import annotations
+
+import datetime as dt
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from sqlalchemy import func, select
+from sqlalchemy.orm import Session
+
+from nav_core.typing import Floats
+from server.jobs.clock import PAIRS
+from server.jobs.digest import decode
+from server.jobs.stretch import WINDOW_S, Piece
+from server.models import (
+    Assignment,
+    Batch,
+    BatchDigest,
+    Boot,
+    Device,
+    DeviceState,
+    Installation,
+    MountingRevision,
+    Trip,
+)
+
+CHUNK = 256
+
+
+@dataclass(frozen=True, slots=True)
+class Situation:
+    """A device as it stood at `version`; the rows are detached, the write attaches them if the version still holds."""
+
+    version: int | None
+    device: Device
+    state: DeviceState | None
+    batches: Sequence[Batch]
+    boots: dict[str, Boot]
+    installations: list[Installation]
+    assignments: Sequence[Assignment]
+    last_arrival: dt.datetime | None
+
+
+def read_situation(session: Session, device_id: str, limit: int) -> Situation | None:
+    """Read what one round needs, at most `limit` batches in the order of arrival; None for an unknown device."""
+    # First of all: whatever changes after this shows in the version when the round writes.
+    state = session.get(DeviceState, device_id)
+    device = session.get(Device, device_id)
+    if device is None:
+        return None
+    due = select(Batch).where(Batch.device_id == device_id, Batch.processed_at.is_(None))
+    installations = select(Installation).where(Installation.device_id == device_id).order_by(Installation.began_at)
+    assignments = select(Assignment).where(Assignment.device_id == device_id).order_by(Assignment.began_at)
+    return Situation(
+        version=state.version if state else None,
+        device=device,
+        state=state,
+        batches=session.scalars(due.order_by(Batch.chain_index).limit(limit)).all(),
+        boots={boot.boot: boot for boot in session.scalars(select(Boot).where(Boot.device_id == device_id))},
+        installations=list(session.scalars(installations)),
+        assignments=session.scalars(assignments).all(),
+        last_arrival=session.scalar(select(func.max(Batch.received_at)).where(Batch.device_id == device_id)),
+    )
+
+
+def clock_pairs(session: Session, device_id: str, boot: str) -> tuple[Floats, Floats]:
+    """Box time and UTC minus box time of the boot's newest stored batches that have both."""
+    query = (
+        select(BatchDigest.clock_t_s, BatchDigest.clock_offset_s)
+        .join(Batch, Batch.id == BatchDigest.batch_id)
+        .where(
+            Batch.device_id == device_id,
+            Batch.stream == "continuous",
+            Batch.boot == boot,
+            BatchDigest.clock_t_s.is_not(None),
+        )
+        .order_by(Batch.sequence.desc())
+        .limit(PAIRS)
+    )
+    pairs = np.array([(t, offset) for t, offset in session.execute(query)], dtype=np.float64).reshape(-1, 2)
+    return pairs[:, 0], pairs[:, 1]
+
+
+def pieces_of_boot(
+    session: Session, device_id: str, boot: str, *, after_s: float, before_s: float, newest_s: float | None = None
+) -> list[Piece]:
+    """Stored digests of a boot between two box times; with `newest_s` only the newest that long, newest first."""
+    pieces: list[Piece] = []
+    length = 0.0
+    below: int | None = None
+    while newest_s is None or length < newest_s:
+        query = (
+            select(Batch.sequence, Batch.t_first_s, Batch.t_last_s, Batch.column_sha256, BatchDigest.content)
+            .join(BatchDigest, BatchDigest.batch_id == Batch.id)
+            .where(Batch.device_id == device_id, Batch.stream == "continuous", Batch.boot == boot)
+            .where(Batch.t_last_s > after_s, Batch.t_first_s < before_s)
+            .order_by(Batch.sequence.desc())
+            .limit(CHUNK)
+        )
+        rows = session.execute(query if below is None else query.where(Batch.sequence < below)).all()
+        for sequence, t_first, t_last, column_sha256, content in rows:
+            if newest_s is not None and length >= newest_s:
+                break
+            pieces.append(Piece(boot, sequence, t_first, t_last, column_sha256, decode(content)))
+            length += t_last - t_first
+        if len(rows) < CHUNK:
+            break
+        below = rows[-1].sequence
+    return pieces
+
+
+def pieces_between(
+    session: Session, device_id: str, boots: Sequence[Boot], since_s: float, until_s: float
+) -> list[Piece]:
+    """Stored digests between two UTC times, the newest that fill an estimate's window."""
+    pieces: list[Piece] = []
+    length = 0.0
+    for boot in sorted(boots, key=lambda boot: boot.unix_s(boot.t_first_s), reverse=True):
+        after, before = boot.box_s(since_s), boot.box_s(until_s)
+        if length >= WINDOW_S:
+            break
+        if boot.t_last_s <= after or boot.t_first_s >= before:
+            continue
+        found = pieces_of_boot(
+            session, device_id, boot.boot, after_s=after, before_s=before, newest_s=WINDOW_S - length
+        )
+        length += sum(piece.t_last_s - piece.t_first_s for piece in found)
+        pieces += found
+    return pieces
+
+
+def trips_of_boot(session: Session, device_id: str, boot: str) -> Sequence[Trip]:
+    """Trips of a boot in the order of time."""
+    query = select(Trip).where(Trip.device_id == device_id, Trip.boot == boot)
+    return session.scalars(query.order_by(Trip.t_first_s)).all()
+
+
+def last_revision(session: Session, installation_id: str) -> MountingRevision | None:
+    """The newest revision of an installation by the time of its data."""
+    query = select(MountingRevision).where(MountingRevision.installation_id == installation_id)
+    return session.scalar(query.order_by(MountingRevision.data_at.desc()).limit(1))

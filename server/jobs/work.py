@@ -1,0 +1,362 @@
+"""Bring a device up to date: read what is new, compute outside any transaction, write once.
+
+The write happens only if the device still stands at the version that was read; else the round starts
+over.  So a round may be sent twice, raced or killed anywhere: nothing is lost and nothing is done twice.
+"""
+
+from __future__ import annotations
+
+import datetime as dt
+import math
+from collections import defaultdict
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+import structlog
+from sqlalchemy import delete, insert, select
+from sqlalchemy.exc import IntegrityError
+from sqlalchemy.orm import Session
+
+from server.database import Database
+from server.formats.columns import Columns
+from server.formats.drive import to_drive
+from server.jobs import clock as clocks
+from server.jobs import situation as reads
+from server.jobs.digest import Digest, digest_drive, encode
+from server.jobs.mountings import Estimator, Mountings, Sources
+from server.jobs.results import Results
+from server.jobs.situation import Situation
+from server.jobs.stretch import Piece
+from server.jobs.trips import REMAP_S, StoredTrips, Trips
+from server.live.changes import announce
+from server.models import Batch, BatchDigest, Boot, DeviceState, Installation, MountingRevision, TrackPoint, Trip
+from server.store import BlobStore
+from server.trips.track import REST_S
+
+Clock = Callable[[], dt.datetime]
+
+BATCHES = 64
+"""Batches of one round: bounds its memory and how long others wait for their turn."""
+
+ATTEMPTS = 5
+
+QUIET_S = 20.0
+"""So long after the last upload, what waits for an estimate is estimated."""
+
+log = structlog.stdlib.get_logger("scatola.jobs")
+
+
+class ContendedError(Exception):
+    """The device changed during every attempt; what is due stays due."""
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What a round did."""
+
+    batches: int = 0
+    failed: int = 0
+    estimates: int = 0
+    more: bool = False
+    """Whether batches are left for another round."""
+
+
+@dataclass(frozen=True, slots=True)
+class Read:
+    """A batch and its digest, or why there is none."""
+
+    digest: Digest | None
+    failure: str | None = None
+
+
+def bring_up_to_date(
+    database: Database, store: BlobStore, device_id: str, *, clock: Clock, estimator: Estimator | None = None
+) -> Outcome:
+    """Work off a device's next batches, and its review when that is due."""
+    known: dict[str, Read] = {}
+    for _ in range(ATTEMPTS):
+        with database.reading() as session:
+            situation = reads.read_situation(session, device_id, BATCHES)
+        if situation is None:
+            return Outcome()
+        work = Round(database, situation, clock(), estimator or _whole_drive())
+        if not situation.batches and not work.review_due:
+            return Outcome()
+        for batch in situation.batches:
+            if batch.id not in known:
+                known[batch.id] = read_batch(store, batch)
+        outcome = work.compute(known)
+        if work.write():
+            return outcome
+    raise ContendedError(f"device {device_id} changed during {ATTEMPTS} attempts")
+
+
+def _whole_drive() -> Estimator:
+    from nav_core.mounting import whole_drive
+
+    return whole_drive.estimate
+
+
+def read_batch(store: BlobStore, batch: Batch) -> Read:
+    """Digest of a batch; a burst has none yet.  An unreachable store raises: the batch stays due."""
+    if batch.stream != "continuous":
+        return Read(None)
+    try:
+        content = store.get(batch.blob_key)
+    except KeyError:
+        return Read(None, f"blob {batch.blob_key} is missing")
+    try:
+        columns = Columns.from_parquet(content)
+        if columns.column_sha256() != batch.column_sha256:
+            return Read(None, "the blob's columns do not have the hash that was recorded")
+        return Read(digest_drive(to_drive(columns)))
+    except Exception as error:  # noqa: BLE001  whatever a damaged blob raises must not stop the box
+        log.exception("batch cannot be decoded", batch_id=batch.id, device_id=batch.device_id)
+        return Read(None, f"cannot be decoded: {type(error).__name__}: {error}"[:500])
+
+
+class Round:
+    """One attempt at one device."""
+
+    def __init__(self, database: Database, situation: Situation, now: dt.datetime, estimator: Estimator) -> None:
+        self._database = database
+        self._situation = situation
+        self._now = now
+        self._estimator = estimator
+        self._results = Results()
+        self._state = situation.state or DeviceState(device_id=situation.device.id, updated_at=now, health={})
+
+    @property
+    def review_due(self) -> bool:
+        """Whether the device wanted to be looked at by now."""
+        return self._state.review_at is not None and self._state.review_at <= self._now
+
+    def compute(self, known: dict[str, Read]) -> Outcome:
+        """Compute everything from what was read; `known` has every batch of the round."""
+        situation, results = self._situation, self._results
+        pieces: list[Piece] = []
+        failed = 0
+        for batch in situation.batches:
+            read = known[batch.id]
+            batch.processed_at = self._now
+            results.put(batch)
+            if read.failure is not None:
+                failed += 1
+                batch.failure = read.failure
+                batch.remarks = [*batch.remarks, {"code": "unreadable", "detail": read.failure}]
+            elif read.digest is not None:
+                pieces.append(_piece(batch, read.digest))
+                results.digests.append(_digest_row(batch, read.digest))
+        remapped = self._map_clocks(pieces)
+        self._take_position(pieces)
+        self._take_health(pieces, failed)
+        self._trips(pieces, remapped)
+        pending = self._mountings(pieces)
+        self._plan_review(pending)
+        more = len(situation.batches) == BATCHES
+        return Outcome(len(situation.batches), failed, results.estimates, more)
+
+    def _map_clocks(self, pieces: list[Piece]) -> set[str]:
+        """Bring the boots' clocks up to date; those whose UTC moved noticeably."""
+        boots = self._situation.boots
+        arrivals = {(batch.boot, batch.sequence): batch.received_at for batch in self._situation.batches}
+        remapped: set[str] = set()
+        for name, parts in _by_boot(pieces).items():
+            offset = min(arrivals[name, part.sequence].timestamp() - part.t_last_s for part in parts)
+            first, last = min(part.t_first_s for part in parts), max(part.t_last_s for part in parts)
+            boot = boots.get(name)
+            before = None if boot is None else boot.unix_s(boot.t_last_s)
+            if boot is None:
+                boot = Boot(
+                    device_id=self._situation.device.id,
+                    boot=name,
+                    ordinal=max((other.ordinal for other in boots.values()), default=-1) + 1,
+                    arrival_offset_s=offset,
+                    t_first_s=first,
+                    t_last_s=last,
+                    trip_state={},
+                )
+                boots[name] = boot
+            end = boot.t_last_s
+            boot.arrival_offset_s = min(boot.arrival_offset_s, offset)
+            boot.t_first_s, boot.t_last_s = min(boot.t_first_s, first), max(boot.t_last_s, last)
+            self._fit(boot, parts)
+            if before is not None and abs(boot.unix_s(end) - before) > REMAP_S:
+                remapped.add(name)
+            self._results.put(boot)
+        return remapped
+
+    def _fit(self, boot: Boot, parts: list[Piece]) -> None:
+        with self._database.reading() as session:
+            t, offset = reads.clock_pairs(session, self._situation.device.id, boot.boot)
+        pairs = [pair for part in parts if (pair := part.digest.clock_pair()) is not None]
+        t = np.append(t, [pair[0] for pair in pairs])
+        offset = np.append(offset, [pair[1] for pair in pairs])
+        fitted = clocks.from_fixes(t, offset) if t.size else clocks.from_arrival(boot.arrival_offset_s)
+        boot.utc_offset_s, boot.utc_drift = fitted.offset_s, fitted.drift
+        boot.utc_sigma_s, boot.utc_source = fitted.sigma_s, fitted.source
+
+    def _take_position(self, pieces: list[Piece]) -> None:
+        boots, state = self._situation.boots, self._state
+        newest: tuple[dt.datetime, Piece, int] | None = None
+        for piece in pieces:
+            gnss = piece.digest.gnss
+            known = np.flatnonzero(gnss.fix & np.isfinite(gnss.lat) & np.isfinite(gnss.lon))
+            if known.size:
+                at = boots[piece.boot].utc(float(gnss.t[known[-1]]))
+                if newest is None or at > newest[0]:
+                    newest = at, piece, int(known[-1])
+        if newest is None or (state.position_at is not None and newest[0] <= state.position_at):
+            return
+        at, piece, row = newest
+        gnss = piece.digest.gnss
+        state.position_at = at
+        state.lat_deg, state.lon_deg = math.degrees(gnss.lat[row]), math.degrees(gnss.lon[row])
+        state.speed_mps, state.course_rad = _known(gnss.speed[row]), _known(gnss.course[row])
+        self._results.announce(
+            "position",
+            self._situation.device.vehicle_id,
+            position_at=at.isoformat(),
+            lat_deg=state.lat_deg,
+            lon_deg=state.lon_deg,
+            speed_mps=state.speed_mps,
+            course_rad=state.course_rad,
+        )
+
+    def _take_health(self, pieces: list[Piece], failed: int) -> None:
+        boots = self._situation.boots
+        health: dict[str, Any] = dict(self._state.health)
+        health["unreadable_batches"] = health.get("unreadable_batches", 0) + failed
+        newest = max(pieces, key=lambda piece: boots[piece.boot].unix_s(piece.t_last_s), default=None)
+        if newest is not None:
+            boot = boots[newest.boot]
+            remarks = {*newest.digest.remarks} | ({"utc_from_arrival"} if boot.utc_source == "arrival" else set())
+            health |= {**newest.digest.health, "remarks": sorted(remarks), "utc_sigma_s": boot.utc_sigma_s}
+        self._state.health = health
+
+    def _trips(self, pieces: list[Piece], remapped: set[str]) -> None:
+        boots = self._situation.boots
+        trips = Trips(
+            self._situation, StoredTrips(self._stored_trip, self._stored_trips, self._stored_pieces), self._results
+        )
+        for name, parts in _by_boot(pieces).items():
+            trips.continue_boot(boots[name], parts, remapped=name in remapped)
+        latest = max(boots.values(), key=lambda boot: boot.unix_s(boot.t_last_s), default=None)
+        for boot in boots.values():
+            if boot is not latest or self._silent_s >= REST_S:
+                trips.give_up(boot)
+
+    def _mountings(self, pieces: list[Piece]) -> bool:
+        """Bring the installations up to date; whether data still waits for an estimate."""
+        sources = Sources(self._stored_between, self._last_revision)
+        mountings = Mountings(self._situation, pieces, sources, self._results, estimator=self._estimator, now=self._now)
+        mountings.take_in()
+        mountings.estimate_due(all_pending=not pieces and self._silent_s >= QUIET_S)
+        return mountings.pending
+
+    def _plan_review(self, pending: bool) -> None:
+        under_way = any(
+            boot.trip_state.get("trip") and not boot.trip_state["given_up"] for boot in self._situation.boots.values()
+        )
+        wait = QUIET_S if pending else REST_S if under_way else None
+        arrival = self._situation.last_arrival
+        if wait is None or arrival is None:
+            self._state.review_at = None
+            return
+        # Never before now: a review that found nothing to do must not come due at once again.
+        self._state.review_at = max(arrival + dt.timedelta(seconds=wait), self._now + dt.timedelta(seconds=1))
+
+    @property
+    def _silent_s(self) -> float:
+        arrival = self._situation.last_arrival
+        return 0.0 if arrival is None else (self._now - arrival).total_seconds()
+
+    def _stored_pieces(self, boot: str, after_s: float) -> list[Piece]:
+        read = partial(reads.pieces_of_boot, after_s=after_s, before_s=math.inf)
+        with self._database.reading() as session:
+            return read(session, self._situation.device.id, boot)
+
+    def _stored_between(self, since_s: float, until_s: float) -> list[Piece]:
+        boots = list(self._situation.boots.values())
+        with self._database.reading() as session:
+            return reads.pieces_between(session, self._situation.device.id, boots, since_s, until_s)
+
+    def _stored_trip(self, trip_id: str) -> Trip | None:
+        with self._database.reading() as session:
+            return session.get(Trip, trip_id)
+
+    def _stored_trips(self, boot: str) -> list[Trip]:
+        with self._database.reading() as session:
+            return list(reads.trips_of_boot(session, self._situation.device.id, boot))
+
+    def _last_revision(self, installation_id: str) -> MountingRevision | None:
+        with self._database.reading() as session:
+            return reads.last_revision(session, installation_id)
+
+    def write(self) -> bool:
+        """Store everything in one short transaction; False when the device changed since it was read."""
+        try:
+            with self._database.transaction() as session:
+                version = session.scalar(
+                    select(DeviceState.version)
+                    .where(DeviceState.device_id == self._situation.device.id)
+                    .with_for_update()
+                )
+                if version != self._situation.version:
+                    return False
+                self._store(session)
+        except IntegrityError:
+            if self._situation.version is None:
+                return False  # another worker made the first row of state between the look and the insert
+            raise
+        return True
+
+    def _store(self, session: Session) -> None:
+        results, state = self._results, self._state
+        state.version = (self._situation.version or 0) + 1
+        state.updated_at = self._now
+        session.add(state)
+        if results.replaced_trips:
+            session.execute(delete(Trip).where(Trip.id.in_(results.replaced_trips)))
+        session.add_all([*results.rows, *results.digests])
+        session.flush()
+        session.add_all(results.revisions)
+        if results.points:
+            session.execute(insert(TrackPoint), [_columns(point) for point in results.points])
+        for announcement in results.announcements:
+            announce(
+                session,
+                announcement.kind,
+                at=self._now,
+                organisation_id=self._situation.device.organisation_id,
+                device_id=self._situation.device.id,
+                vehicle_id=announcement.vehicle_id,
+                data=announcement.data,
+            )
+
+
+def _piece(batch: Batch, digest: Digest) -> Piece:
+    return Piece(batch.boot, batch.sequence, batch.t_first_s, batch.t_last_s, batch.column_sha256, digest)
+
+
+def _digest_row(batch: Batch, digest: Digest) -> BatchDigest:
+    t, offset = digest.clock_pair() or (None, None)
+    return BatchDigest(batch_id=batch.id, content=encode(digest), clock_t_s=t, clock_offset_s=offset)
+
+
+def _by_boot(pieces: list[Piece]) -> dict[str, list[Piece]]:
+    parts: defaultdict[str, list[Piece]] = defaultdict(list)
+    for piece in pieces:
+        parts[piece.boot].append(piece)
+    return parts
+
+
+def _known(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def _columns(point: TrackPoint) -> dict[str, Any]:
+    return {column.key: getattr(point, column.key) for column in TrackPoint.__table__.columns}

@@ -1,0 +1,79 @@
+// The page stays true without a reload.  The server says *that* something changed (server-sent
+// events, resumed by Last-Event-ID); the page then fetches itself and swaps the parts marked
+// data-live, so there is one way a number gets on the screen.
+
+import { formatTimes } from "./time.js";
+
+/** @typedef {{at: string, device_id: string | null, vehicle_id: string | null}} Change */
+
+const KINDS = ["batch", "installation", "trip", "position", "moved", "device", "vehicle"];
+/** Changes come in crowds; a second's worth of them is one fetch. */
+const SETTLE_MS = 1000;
+
+/** @type {ReturnType<typeof setTimeout> | undefined} */
+let pending;
+let stale = false;
+
+export function watch() {
+  const source = new EventSource("/api/v1/live");
+  // What happened between rendering and connecting, or while the connection was down, is fetched here.
+  source.addEventListener("open", () => { say("on", "Live"); refreshSoon(); });
+  source.addEventListener("error", () => say("off", "Reconnecting"));
+  for (const kind of KINDS) {
+    source.addEventListener(kind, (event) => {
+      /** @type {Change} */
+      const change = JSON.parse(event.data);
+      document.dispatchEvent(new CustomEvent("scatola:change", { detail: { kind, ...change } }));
+      refreshSoon();
+    });
+  }
+  document.addEventListener("visibilitychange", () => { if (!document.hidden && stale) refreshSoon(); });
+  addEventListener("pagehide", () => source.close());
+  addEventListener("pageshow", (event) => { if (event.persisted) location.reload(); });
+}
+
+/** @param {"on" | "off"} state @param {string} words */
+function say(state, words) {
+  const sign = document.getElementById("live");
+  const text = document.getElementById("live-words");
+  if (sign && text) { sign.dataset.state = state; text.textContent = words; }
+}
+
+function refreshSoon() {
+  stale = true;
+  if (pending === undefined && !document.hidden) pending = setTimeout(refresh, SETTLE_MS);
+}
+
+async function refresh() {
+  stale = false;
+  try {
+    const response = await fetch(location.href, { headers: { Accept: "text/html" } });
+    if (response.redirected) { location.reload(); return; }  // signed out meanwhile
+    if (response.ok) swap(new DOMParser().parseFromString(await response.text(), "text/html"));
+  } catch {
+    say("off", "Reconnecting");
+  } finally {
+    pending = undefined;
+    if (stale) refreshSoon();
+  }
+}
+
+/** @type {WeakMap<Element, string>} What the server last sent for a part: the times in it were rewritten since. */
+const sent = new WeakMap();
+
+/** @param {Document} fresh */
+function swap(fresh) {
+  for (const part of document.querySelectorAll("[data-live]")) {
+    const next = fresh.getElementById(part.id);
+    if (!next || sent.get(part) === next.outerHTML) continue;
+    const html = next.outerHTML;
+    const focused = part.contains(document.activeElement) ? document.activeElement : null;
+    const anchor = focused instanceof HTMLAnchorElement ? focused.getAttribute("href") : null;
+    const adopted = document.adoptNode(next);
+    formatTimes(adopted);
+    part.replaceWith(adopted);
+    sent.set(adopted, html);
+    if (anchor) /** @type {HTMLElement | null} */ (adopted.querySelector(`a[href="${CSS.escape(anchor)}"]`))?.focus({ preventScroll: true });
+  }
+  document.dispatchEvent(new CustomEvent("scatola:parts"));
+}

@@ -1,0 +1,51 @@
+// <scene-3d device="id">: the 3D view in a frame of our own origin, opened with a short-lived ticket.
+
+class Scene3d extends HTMLElement {
+  connectedCallback() {
+    // A frame that nobody looks at need not be drawn.
+    const seen = new IntersectionObserver((entries) => {
+      if (!entries.some((entry) => entry.isIntersecting)) return;
+      seen.disconnect();
+      void this.#open();
+    }, { rootMargin: "200px" });
+    seen.observe(this);
+  }
+
+  async #open() {
+    this.#say("Opening the 3D view");
+    const token = document.querySelector('meta[name="csrf-token"]')?.getAttribute("content") ?? "";
+    try {
+      const answer = await fetch(`/api/v1/devices/${this.getAttribute("device")}/view-ticket`, { method: "POST", headers: { "X-CSRF-Token": token } });
+      if (!answer.ok) throw new Error(`no ticket: ${answer.status}`);
+      /** @type {{url: string}} */
+      const { url } = await answer.json();
+      // Asked first, because a frame does not tell its page that it got an error.
+      const view = await fetch(url);
+      void view.body?.cancel();
+      if (!view.ok) throw new Error(`no view: ${view.status}`);
+      const frame = document.createElement("iframe");
+      const dark = matchMedia("(prefers-color-scheme: dark)").matches;
+      frame.title = "Box in the vehicle, in three dimensions";
+      frame.src = `${url}?hideViserLogo${dark ? "&darkMode" : ""}`;
+      this.replaceChildren(frame);
+    } catch {
+      const again = document.createElement("button");
+      again.type = "button";
+      again.textContent = "Try again";
+      again.addEventListener("click", () => void this.#open());
+      this.#say("The 3D view is not running", again);
+    }
+  }
+
+  /** @param {string} words @param {HTMLElement[]} more */
+  #say(words, ...more) {
+    const box = document.createElement("div");
+    box.className = "scene-words";
+    const line = document.createElement("p");
+    line.textContent = words;
+    box.append(line, ...more);
+    this.replaceChildren(box);
+  }
+}
+
+customElements.define("scene-3d", Scene3d);

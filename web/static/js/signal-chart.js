@@ -1,0 +1,208 @@
+// <signal-chart device="id" [mounted] [trip-from trip-to]>: speed and specific force over one time axis.
+// Dragging zooms and fetches again at the new resolution; a double click goes back.
+
+import uPlot from "../vendor/uplot/uplot.mjs";
+import { colour } from "./palette.js";
+import { decode } from "./signals.js";
+
+/** @typedef {import("./signals.js").Signals} Signals */
+/** @typedef {{seconds: number} | {from: string, to: string}} View */
+const FORCE = ["fx", "fy", "fz"];
+const AXIS = /** @type {const} */ (["axis-x", "axis-y", "axis-z"]);
+const DIRECTIONS = ["x forward", "y right", "z down"];
+const KMH = 3.6;
+const REFETCH_MS = 1500;
+
+class SignalChart extends HTMLElement {
+  /** @type {View} */ #view = { seconds: 60 };
+  /** @type {View[]} */ #back = [];
+  /** @type {"a" | "v"} */ #frame = "a";
+  /** @type {{speed: uPlot, force: uPlot} | undefined} */ #plots;
+  /** @type {AbortController | undefined} */ #asking;
+  /** @type {ReturnType<typeof setTimeout> | undefined} */ #later;
+  /** @type {Signals | undefined} */ #signals;
+
+  connectedCallback() {
+    this.#frame = this.hasAttribute("mounted") ? "v" : "a";
+    const trip = this.hasAttribute("trip-from");
+    this.innerHTML = `
+      <div class="chart-bar"><h2>Signals</h2>
+        <div class="choice" data-choice="view" role="group" aria-label="Time span">
+          <button type="button" value="60" aria-pressed="true">Last minute</button><button type="button" value="600">10 minutes</button><button type="button" value="trip"${trip ? "" : " disabled"}>Last trip</button>
+        </div>
+        <div class="choice" data-choice="frame" role="group" aria-label="Axes">
+          <button type="button" value="v">Vehicle axes</button><button type="button" value="a">Box axes</button>
+        </div>
+      </div>
+      <p class="chart-head"><b>Speed <span class="unit">km/h</span></b></p><div class="plot" data-plot="speed"></div>
+      <p class="chart-head"><b>Specific force <span class="unit">m/s²</span></b>${AXIS.map((axis, i) => `<span class="chart-key"><span class="axis ${axis}"></span><span data-key="${i}"></span></span>`).join("")}</p><div class="plot" data-plot="force"></div>
+      <p class="chart-words" role="status"></p>`;
+    this.#pressed("frame", this.#frame);
+    this.addEventListener("click", this.#onClick);
+    document.addEventListener("scatola:change", this.#onChange);
+    new ResizeObserver(() => this.#resize()).observe(this);
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { this.#discard(); this.#draw(); });
+    void this.#fetch();
+  }
+
+  disconnectedCallback() {
+    document.removeEventListener("scatola:change", this.#onChange);
+    this.#asking?.abort();
+    this.#discard();
+  }
+
+  /** @param {Event} event */
+  #onClick = (event) => {
+    const button = event.target instanceof Element ? event.target.closest("button") : null;
+    const choice = button?.closest("[data-choice]")?.getAttribute("data-choice");
+    if (!button || !choice) return;
+    this.#pressed(choice, button.value);
+    if (choice === "frame") this.#frame = button.value === "v" ? "v" : "a";
+    else {
+      this.#back = [];
+      this.#view = button.value === "trip" ? this.#trip() : { seconds: Number(button.value) };
+    }
+    void this.#fetch();
+  };
+
+  /** @returns {View} */
+  #trip() {
+    return { from: this.getAttribute("trip-from") ?? "", to: this.getAttribute("trip-to") ?? "" };
+  }
+
+  /** New data of this box, while the chart follows the newest. @param {Event} event */
+  #onChange = (event) => {
+    const { device_id: device } = /** @type {CustomEvent<import("./live.js").Change>} */ (event).detail;
+    if (device !== this.getAttribute("device") || !("seconds" in this.#view)) return;
+    this.#later ??= setTimeout(() => { this.#later = undefined; if (!document.hidden) void this.#fetch(); }, REFETCH_MS);
+  };
+
+  async #fetch() {
+    this.#asking?.abort();
+    const asking = (this.#asking = new AbortController());
+    const points = Math.round(Math.min(Math.max(this.clientWidth, 300), 2000) * 1.5);
+    const query = new URLSearchParams({ columns: [...FORCE, "speed"].join(), frame: this.#frame, points: String(points) });
+    for (const [name, value] of Object.entries(this.#view)) query.set(name, String(value));
+    try {
+      const answer = await fetch(`/api/v1/devices/${this.getAttribute("device")}/signals?${query}`, { signal: asking.signal });
+      if (!answer.ok) {
+        const problem = /** @type {{detail?: string}} */ (await answer.json());
+        this.#say(problem.detail ?? "The signals could not be read");
+        return;
+      }
+      this.#signals = decode(await answer.arrayBuffer());
+      this.#draw();
+    } catch (error) {
+      if (!asking.signal.aborted) { this.#say("The signals could not be read"); console.warn(error); }
+    }
+  }
+
+  #draw() {
+    if (!this.#signals) return;
+    const { header, series } = this.#signals;
+    const empty = header.groups.every((group) => group.count === 0);
+    this.#pressed("frame", header.frame);
+    this.querySelectorAll("[data-key]").forEach((key, i) => { key.textContent = header.frame === "v" ? DIRECTIONS[i] ?? "" : "xyz"[i] ?? ""; });
+    this.#plots ??= { speed: this.#plot("speed", [{ stroke: colour("track") }]), force: this.#plot("force", AXIS.map((axis) => ({ stroke: colour(axis) }))) };
+    const t0 = Date.parse(header.t0) / 1000;
+    const window = { min: Date.parse(header.from) / 1000, max: Date.parse(header.to) / 1000 };
+    this.#put(this.#plots.speed, t0, window, [series.speed], KMH);
+    this.#put(this.#plots.force, t0, window, FORCE.map((name) => series[name]), 1);
+    this.#say(empty ? "Not yet: no samples in this window" : this.#words(header));
+    this.dataset.points = String(header.groups.reduce((sum, group) => sum + group.count, 0));
+  }
+
+  /** @param {import("./signals.js").Header} header */
+  #words(header) {
+    const missing = header.frame === "a" && !this.hasAttribute("mounted") ? "Box axes: the mounting is not known yet. " : "";
+    const gaps = header.gaps.length ? `${header.gaps.length} ${header.gaps.length === 1 ? "gap" : "gaps"} in the data. ` : "";
+    return `${missing}${gaps}Drag to zoom${this.#back.length ? ", double click to go back" : ""}.`;
+  }
+
+  /** @param {uPlot} plot @param {number} t0 @param {{min: number, max: number}} window @param {(Signals["series"][string] | undefined)[]} columns @param {number} factor */
+  #put(plot, t0, window, columns, factor) {
+    const times = Array.from(columns[0]?.t ?? [], (t) => t0 + t);
+    const values = columns.map((column) => Array.from(column?.values ?? [], (v) => (Number.isNaN(v) ? null : v * factor)));
+    plot.setData(/** @type {uPlot.AlignedData} */ ([times, ...values]), false);
+    plot.batch(() => {
+      plot.setScale("x", window);
+      const all = values.flat().filter((v) => v !== null);
+      const low = Math.min(...all), high = Math.max(...all);
+      // A quiet signal keeps a span that shows it as quiet.
+      const span = Math.max(high - low, factor === KMH ? 20 : 2), middle = (low + high) / 2;
+      const min = factor === KMH ? 0 : middle - span * 0.55;
+      plot.setScale("y", all.length ? { min, max: factor === KMH ? Math.max(high, 20) * 1.1 : middle + span * 0.55 } : { min: 0, max: 1 });
+    });
+  }
+
+  /** @param {string} name @param {{stroke: string}[]} lines */
+  #plot(name, lines) {
+    const host = /** @type {HTMLElement} */ (this.querySelector(`[data-plot="${name}"]`));
+    const axis = { stroke: colour("muted"), grid: { stroke: colour("line"), width: 1 }, ticks: { show: false }, font: "12px system-ui, sans-serif" };
+    /** @type {uPlot.Options} */
+    const options = {
+      width: host.clientWidth, height: 180, legend: { show: false }, scales: { x: { auto: false }, y: { auto: false } },
+      cursor: { sync: { key: "signals" }, drag: { x: true, y: false, setScale: false }, points: { size: 6 }, bind: { dblclick: () => () => { this.#zoomBack(); return null; } } },
+      axes: [{ ...axis, space: 90, values: timeWords }, { ...axis, size: 48 }],
+      series: [{}, ...lines.map(({ stroke }) => ({ stroke, width: 1.5, spanGaps: false, points: { show: false } }))],
+      hooks: { setSelect: [(plot) => this.#zoom(plot)] },
+    };
+    return new uPlot(options, [[], ...lines.map(() => [])], host);
+  }
+
+  /** @param {uPlot} plot */
+  #zoom(plot) {
+    const { left, width } = plot.select;
+    if (width < 8) return;
+    const iso = (/** @type {number} */ x) => new Date(plot.posToVal(x, "x") * 1000).toISOString();
+    this.#back.push(this.#view);
+    this.#view = { from: iso(left), to: iso(left + width) };
+    for (const one of Object.values(this.#plots ?? {})) one.setSelect({ left: 0, width: 0, top: 0, height: 0 }, false);
+    this.#pressed("view", "");
+    void this.#fetch();
+  }
+
+  #zoomBack() {
+    const before = this.#back.pop();
+    if (!before) return;
+    this.#view = before;
+    if ("seconds" in before) this.#pressed("view", String(before.seconds));
+    void this.#fetch();
+  }
+
+  #resize() {
+    for (const [name, plot] of Object.entries(this.#plots ?? {})) {
+      const host = /** @type {HTMLElement} */ (this.querySelector(`[data-plot="${name}"]`));
+      if (host.clientWidth > 0) plot.setSize({ width: host.clientWidth, height: 180 });
+    }
+  }
+
+  #discard() {
+    for (const plot of Object.values(this.#plots ?? {})) plot.destroy();
+    this.#plots = undefined;
+  }
+
+  /** @param {string} choice @param {string} value */
+  #pressed(choice, value) {
+    for (const button of this.querySelectorAll(`[data-choice="${choice}"] button`)) {
+      button.setAttribute("aria-pressed", String(/** @type {HTMLButtonElement} */ (button).value === value));
+    }
+  }
+
+  /** @param {string} words */
+  #say(words) {
+    const line = this.querySelector(".chart-words");
+    if (line) line.textContent = words;
+  }
+}
+
+/** Tick labels: time of day, with the fraction when the window is short. @param {uPlot} _ @param {number[]} ticks */
+function timeWords(_, ticks) {
+  const step = (ticks[1] ?? 0) - (ticks[0] ?? 0);
+  /** @type {Intl.DateTimeFormatOptions} */
+  const style = { hour: "2-digit", minute: "2-digit", ...(step < 60 && { second: "2-digit" }), ...(step < 1 && { fractionalSecondDigits: 2 }) };
+  const format = new Intl.DateTimeFormat("en-GB", style);
+  return ticks.map((tick) => format.format(new Date(tick * 1000)));
+}
+
+customElements.define("signal-chart", SignalChart);
