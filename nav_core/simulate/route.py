@@ -18,7 +18,7 @@ from nav_core.typing import Floats
 CELL = 2.0
 """Length of a cell of the road, m."""
 
-LEAD = 100.0
+LEAD = 300.0
 """Road before the start of the drive, m: an impact may push the vehicle backwards."""
 
 _SLOPE_KNOT = 25.0

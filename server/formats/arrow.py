@@ -51,13 +51,16 @@ def _measure(message: ipc.Message) -> tuple[int, int]:
     """Rows of a record batch, and the bytes its buffers unpack to."""
     if message.type != "record batch":
         raise InvalidError(f"A {message.type} message: send plain columns", code="arrow")
+    body_size = 0 if message.body is None else message.body.size
     try:
         metadata = message.metadata.to_pybytes()
-        header = _table(metadata, _field(metadata, _root(metadata), _MESSAGE_HEADER))
-        rows = struct.unpack_from("<q", metadata, _field(metadata, header, _BATCH_LENGTH))[0]
-        if _field(metadata, header, _BATCH_COMPRESSION) == 0 or message.body is None:
-            return rows, 0 if message.body is None else message.body.size
-        vector = _table(metadata, _field(metadata, header, _BATCH_BUFFERS))
+        header = _table(metadata, _field(metadata, _table(metadata, 0), _MESSAGE_HEADER))
+        length = _field(metadata, header, _BATCH_LENGTH)
+        rows = struct.unpack_from("<q", metadata, length)[0] if length else 0
+        buffers = _field(metadata, header, _BATCH_BUFFERS)
+        if not _field(metadata, header, _BATCH_COMPRESSION) or not buffers or not body_size:
+            return rows, body_size
+        vector = _table(metadata, buffers)
         count = struct.unpack_from("<I", metadata, vector)[0]
         sizes = [
             _unpacked(message.body, *_BUFFER.unpack_from(metadata, vector + 4 + index * _BUFFER.size))
@@ -68,17 +71,13 @@ def _measure(message: ipc.Message) -> tuple[int, int]:
     return rows, sum(sizes)
 
 
-def _root(data: bytes) -> int:
-    return _table(data, 0)
-
-
 def _table(data: bytes, at: int) -> int:
     """Where the offset at `at` points."""
     return at + struct.unpack_from("<I", data, at)[0]
 
 
 def _field(data: bytes, table: int, index: int) -> int:
-    """Position of a table's field; 0 where it is left out (a length of 0 then reads the root's offset: not 0 rows)."""
+    """Position of a table's field; 0 where it is left out."""
     vtable = table - struct.unpack_from("<i", data, table)[0]
     if vtable < 0:
         raise struct.error

@@ -51,10 +51,9 @@ def media_type_of(content_type: str) -> str:
     if essence not in _READERS:
         raise UnsupportedMediaError(f"Send one of {', '.join(_READERS)}; not {essence[:100]!r}")
     for parameter in parameters:
-        if parameter.startswith("charset=") and parameter.strip('"') not in ("charset=utf-8", "charset=us-ascii"):
-            charset = parameter.removeprefix("charset=").strip('"')
-            if charset not in ("utf-8", "us-ascii"):
-                raise UnsupportedMediaError(f"Send UTF-8, not {charset[:40]!r}")
+        name, _, value = parameter.partition("=")
+        if name == "charset" and value.strip('"') not in ("utf-8", "us-ascii"):
+            raise UnsupportedMediaError(f"Send UTF-8, not {value[:40]!r}")
     return essence
 
 

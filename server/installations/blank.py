@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-
 _REASONS = {
     "first": ("no_data", "No data from this box yet."),
     "moved": ("moved", "The box was moved: drive on until its new mounting is known."),

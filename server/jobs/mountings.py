@@ -223,8 +223,10 @@ class Mountings:
         data_at = _utc(stretch.end_unix_s)
         status = str(result["status"])
         last = self._sources.last_revision(row.id)
-        settled = last is not None and status == last.status == "ready"
-        if settled and abs((data_at - last.data_at).total_seconds()) < REVISION_S:
+        since = (
+            dt.timedelta.max if last is None or status != "ready" or last.status != "ready" else data_at - last.data_at
+        )
+        if abs(since.total_seconds()) < REVISION_S:
             return
         self._results.revisions.append(
             MountingRevision(

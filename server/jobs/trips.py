@@ -14,7 +14,7 @@ from server.models import Boot, TrackPoint, Trip, new_id
 from server.trips.track import ALGORITHM, REST_S, Point, Track, TrackState, TripPiece, TripTotals
 
 REMAP_S = 0.5
-"""When a boot's clock moves by more, its trips are laid out anew."""
+"""When a boot's clock moves by more than this and its own sigma, its trips are laid out anew."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,13 +37,16 @@ class Trips:
         self._stored = stored
         self._results = results
 
-    def continue_boot(self, boot: Boot, new: Sequence[Piece], *, remapped: bool) -> None:
+    def continue_boot(self, boot: Boot, new: Sequence[Piece]) -> None:
         """Fold the new batches of a boot in; from an earlier point again when they are not the last ones."""
         state = TrackState.from_json(boot.trip_state)
         pieces = sorted(new, key=lambda piece: piece.sequence)
+        remapped = _is_remapped(boot, state)
         if remapped or pieces[0].sequence < state.sequence:
             self._again(boot, pieces, everything=remapped)
             return
+        if state.utc_offset_s is None:
+            state.utc_offset_s, state.utc_drift = boot.utc_offset_s, boot.utc_drift
         track = Track(state)
         for piece in pieces:
             track.add(piece.sequence, piece.column_sha256, piece.digest.gnss)
@@ -57,7 +60,9 @@ class Trips:
         earliest = min(piece.t_first_s for piece in new)
         kept = [] if everything else [trip for trip in rows if trip.t_last_s + REST_S < earliest]
         begin = kept[-1].t_last_s if kept else float("-inf")
-        state = TrackState(second=int(begin // 1.0) if kept else None)
+        state = TrackState(
+            second=int(begin // 1.0) if kept else None, utc_offset_s=boot.utc_offset_s, utc_drift=boot.utc_drift
+        )
         track = Track(state)
         for piece in sorted([*self._stored.pieces(boot.boot, begin), *new], key=lambda piece: piece.sequence):
             track.add(piece.sequence, piece.column_sha256, piece.digest.gnss)
@@ -111,6 +116,13 @@ class Trips:
 
     def _announce(self, row: Trip) -> None:
         self._results.announce("trip", row.vehicle_id, trip_id=row.id)
+
+
+def _is_remapped(boot: Boot, state: TrackState) -> bool:
+    if state.utc_offset_s is None:
+        return False
+    moved = boot.utc_offset_s - state.utc_offset_s + (boot.utc_drift - state.utc_drift) * boot.t_last_s
+    return abs(moved) > max(REMAP_S, boot.utc_sigma_s)
 
 
 def _overlap(old: Trip, totals: TripTotals) -> bool:

@@ -30,9 +30,9 @@ from server.jobs.mountings import Estimator, Mountings, Sources
 from server.jobs.results import Results
 from server.jobs.situation import Situation
 from server.jobs.stretch import Piece
-from server.jobs.trips import REMAP_S, StoredTrips, Trips
+from server.jobs.trips import StoredTrips, Trips
 from server.live.changes import announce
-from server.models import Batch, BatchDigest, Boot, DeviceState, Installation, MountingRevision, TrackPoint, Trip
+from server.models import Batch, BatchDigest, Boot, DeviceState, MountingRevision, TrackPoint, Trip
 from server.store import BlobStore
 from server.trips.track import REST_S
 
@@ -44,7 +44,7 @@ BATCHES = 64
 ATTEMPTS = 5
 
 QUIET_S = 20.0
-"""So long after the last upload, what waits for an estimate is estimated."""
+"""So long after the last upload, or three batches if that is longer, what waits for an estimate is estimated."""
 
 log = structlog.stdlib.get_logger("scatola.jobs")
 
@@ -113,7 +113,8 @@ def read_batch(store: BlobStore, batch: Batch) -> Read:
         if columns.column_sha256() != batch.column_sha256:
             return Read(None, "the blob's columns do not have the hash that was recorded")
         return Read(digest_drive(to_drive(columns)))
-    except Exception as error:  # noqa: BLE001  whatever a damaged blob raises must not stop the box
+    except Exception as error:
+        # Whatever a damaged blob raises must not stop the box.
         log.exception("batch cannot be decoded", batch_id=batch.id, device_id=batch.device_id)
         return Read(None, f"cannot be decoded: {type(error).__name__}: {error}"[:500])
 
@@ -150,25 +151,23 @@ class Round:
             elif read.digest is not None:
                 pieces.append(_piece(batch, read.digest))
                 results.digests.append(_digest_row(batch, read.digest))
-        remapped = self._map_clocks(pieces)
+        self._map_clocks(pieces)
         self._take_position(pieces)
         self._take_health(pieces, failed)
-        self._trips(pieces, remapped)
+        self._trips(pieces)
         pending = self._mountings(pieces)
         self._plan_review(pending)
         more = len(situation.batches) == BATCHES
         return Outcome(len(situation.batches), failed, results.estimates, more)
 
-    def _map_clocks(self, pieces: list[Piece]) -> set[str]:
-        """Bring the boots' clocks up to date; those whose UTC moved noticeably."""
+    def _map_clocks(self, pieces: list[Piece]) -> None:
+        """Bring the boots' clocks up to date."""
         boots = self._situation.boots
         arrivals = {(batch.boot, batch.sequence): batch.received_at for batch in self._situation.batches}
-        remapped: set[str] = set()
         for name, parts in _by_boot(pieces).items():
             offset = min(arrivals[name, part.sequence].timestamp() - part.t_last_s for part in parts)
             first, last = min(part.t_first_s for part in parts), max(part.t_last_s for part in parts)
             boot = boots.get(name)
-            before = None if boot is None else boot.unix_s(boot.t_last_s)
             if boot is None:
                 boot = Boot(
                     device_id=self._situation.device.id,
@@ -180,14 +179,10 @@ class Round:
                     trip_state={},
                 )
                 boots[name] = boot
-            end = boot.t_last_s
             boot.arrival_offset_s = min(boot.arrival_offset_s, offset)
             boot.t_first_s, boot.t_last_s = min(boot.t_first_s, first), max(boot.t_last_s, last)
             self._fit(boot, parts)
-            if before is not None and abs(boot.unix_s(end) - before) > REMAP_S:
-                remapped.add(name)
             self._results.put(boot)
-        return remapped
 
     def _fit(self, boot: Boot, parts: list[Piece]) -> None:
         with self._database.reading() as session:
@@ -234,16 +229,21 @@ class Round:
         if newest is not None:
             boot = boots[newest.boot]
             remarks = {*newest.digest.remarks} | ({"utc_from_arrival"} if boot.utc_source == "arrival" else set())
-            health |= {**newest.digest.health, "remarks": sorted(remarks), "utc_sigma_s": boot.utc_sigma_s}
+            health |= {
+                **newest.digest.health,
+                "batch_s": newest.t_last_s - newest.t_first_s,
+                "remarks": sorted(remarks),
+                "utc_sigma_s": boot.utc_sigma_s,
+            }
         self._state.health = health
 
-    def _trips(self, pieces: list[Piece], remapped: set[str]) -> None:
+    def _trips(self, pieces: list[Piece]) -> None:
         boots = self._situation.boots
         trips = Trips(
             self._situation, StoredTrips(self._stored_trip, self._stored_trips, self._stored_pieces), self._results
         )
         for name, parts in _by_boot(pieces).items():
-            trips.continue_boot(boots[name], parts, remapped=name in remapped)
+            trips.continue_boot(boots[name], parts)
         latest = max(boots.values(), key=lambda boot: boot.unix_s(boot.t_last_s), default=None)
         for boot in boots.values():
             if boot is not latest or self._silent_s >= REST_S:
@@ -254,20 +254,24 @@ class Round:
         sources = Sources(self._stored_between, self._last_revision)
         mountings = Mountings(self._situation, pieces, sources, self._results, estimator=self._estimator, now=self._now)
         mountings.take_in()
-        mountings.estimate_due(all_pending=not pieces and self._silent_s >= QUIET_S)
+        mountings.estimate_due(all_pending=not pieces and self._silent_s >= self._quiet_s)
         return mountings.pending
 
     def _plan_review(self, pending: bool) -> None:
         under_way = any(
             boot.trip_state.get("trip") and not boot.trip_state["given_up"] for boot in self._situation.boots.values()
         )
-        wait = QUIET_S if pending else REST_S if under_way else None
+        wait = self._quiet_s if pending else REST_S if under_way else None
         arrival = self._situation.last_arrival
         if wait is None or arrival is None:
             self._state.review_at = None
             return
         # Never before now: a review that found nothing to do must not come due at once again.
         self._state.review_at = max(arrival + dt.timedelta(seconds=wait), self._now + dt.timedelta(seconds=1))
+
+    @property
+    def _quiet_s(self) -> float:
+        return max(QUIET_S, 3.0 * self._state.health.get("batch_s", 0.0))
 
     @property
     def _silent_s(self) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import datetime as dt
-from typing import Any, Protocol, cast
+from typing import Any, Literal, Protocol, cast
 
 from fastapi import FastAPI
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
@@ -28,7 +28,7 @@ def install(app: FastAPI) -> None:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters.update(moment=moment, day=day, number=number, duration=duration)
+    environment.filters.update(moment=moment, number=number, duration=duration)
 
     def render(name: str, context: dict[str, Any], *, status_code: int = 200) -> HTMLResponse:
         return HTMLResponse(environment.get_template(name).render(context), status_code=status_code)
@@ -41,16 +41,11 @@ def renderer(app: FastAPI) -> Render:
     return cast("Render", app.state.render)
 
 
-def moment(at: dt.datetime, style: str = "datetime") -> Markup:
+def moment(at: dt.datetime, style: Literal["full", "short", "ago"] = "full") -> Markup:
     """A time element in UTC; the page shows it in the reader's zone (web/static/js/time.js)."""
     iso = at.astimezone(dt.UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
     words = at.astimezone(dt.UTC).strftime("%d %b %Y, %H:%M:%S UTC")
     return Markup('<time datetime="{}" data-style="{}">{}</time>').format(iso, style, words)
-
-
-def day(at: dt.datetime) -> Markup:
-    """`moment` without the time of day."""
-    return moment(at, "day")
 
 
 def number(value: float, digits: int = 0, *, sign: bool = False) -> str:

@@ -29,6 +29,11 @@ class Standing:
     moved: bool
     calibrated: bool
 
+    @property
+    def percent_says(self) -> bool:
+        """Whether the percentage adds something to the headline: not to a full stop, nor when all is done."""
+        return self.state in ("attention", "unknown")
+
 
 def standing(status: str | None, result: Mapping[str, Any], *, progress: float, moved: bool) -> Standing:
     """Words for an installation; `status` None means that there is none yet."""

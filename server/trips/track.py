@@ -84,6 +84,9 @@ class TrackState:
     candidates: list[Point] = field(default_factory=list[Point])
     """Points of a movement that is not confirmed yet."""
     trip: TripTotals | None = None
+    utc_offset_s: float | None = None
+    """The boot's clock when its trips were laid out."""
+    utc_drift: float = 0.0
     given_up: bool = False
     """Whether the open trip was ended from outside: a later boot has data, or the box fell silent."""
 
@@ -96,14 +99,12 @@ class TrackState:
         """State from what `to_json` gave; an empty document is the start."""
         if not document:
             return cls()
-        return cls(
-            sequence=document["sequence"],
-            second=document["second"],
-            last=Point(**document["last"]) if document["last"] else None,
-            candidates=[Point(**point) for point in document["candidates"]],
-            trip=TripTotals(**document["trip"]) if document["trip"] else None,
-            given_up=document["given_up"],
-        )
+        parts: dict[str, Any] = {**document, "candidates": [Point(**point) for point in document["candidates"]]}
+        if document["last"]:
+            parts["last"] = Point(**document["last"])
+        if document["trip"]:
+            parts["trip"] = TripTotals(**document["trip"])
+        return cls(**parts)
 
 
 @dataclass(slots=True)

@@ -18,7 +18,7 @@ function style(tiles) {
   return /** @type {Style} */ ({
     version: 8,
     sources: {
-      land: { type: "geojson", data: `${WORLD}/land.geojson`, attribution: "Natural Earth" },
+      land: { type: "geojson", data: `${WORLD}/land.geojson` },
       borders: { type: "geojson", data: `${WORLD}/borders.geojson` },
       names: { type: "geojson", data: `${WORLD}/names.geojson` },
       grid: { type: "geojson", data: collection([]) },
@@ -72,7 +72,7 @@ export function makeMap(host, tiles, dress) {
   host.append(container);
   const map = new maplibre.Map({
     container, style: style(tiles), center: [12, 44], zoom: 3, maxZoom: 18,
-    attributionControl: { compact: true }, dragRotate: false, pitchWithRotate: false, fadeDuration: 0,
+    attributionControl: tiles ? { compact: true } : false, dragRotate: false, pitchWithRotate: false, fadeDuration: 0,
   });
   map.touchZoomRotate.disableRotation();
   map.addControl(new maplibre.NavigationControl({ showCompass: false }), "top-right");

@@ -12,6 +12,7 @@ const AXIS = /** @type {const} */ (["axis-x", "axis-y", "axis-z"]);
 const DIRECTIONS = ["x forward", "y right", "z down"];
 const KMH = 3.6;
 const REFETCH_MS = 1500;
+const HEIGHT = 180;
 
 class SignalChart extends HTMLElement {
   /** @type {View} */ #view = { seconds: 60 };
@@ -141,9 +142,9 @@ class SignalChart extends HTMLElement {
     const axis = { stroke: colour("muted"), grid: { stroke: colour("line"), width: 1 }, ticks: { show: false }, font: "12px system-ui, sans-serif" };
     /** @type {uPlot.Options} */
     const options = {
-      width: host.clientWidth, height: 180, legend: { show: false }, scales: { x: { auto: false }, y: { auto: false } },
+      width: host.clientWidth, height: HEIGHT, legend: { show: false }, scales: { x: { auto: false }, y: { auto: false } },
       cursor: { sync: { key: "signals" }, drag: { x: true, y: false, setScale: false }, points: { size: 6 }, bind: { dblclick: () => () => { this.#zoomBack(); return null; } } },
-      axes: [{ ...axis, space: 90, values: timeWords }, { ...axis, size: 48 }],
+      axes: [{ ...axis, space: 90, size: 30, values: timeWords }, { ...axis, size: 48 }],
       series: [{}, ...lines.map(({ stroke }) => ({ stroke, width: 1.5, spanGaps: false, points: { show: false } }))],
       hooks: { setSelect: [(plot) => this.#zoom(plot)] },
     };
@@ -173,7 +174,7 @@ class SignalChart extends HTMLElement {
   #resize() {
     for (const [name, plot] of Object.entries(this.#plots ?? {})) {
       const host = /** @type {HTMLElement} */ (this.querySelector(`[data-plot="${name}"]`));
-      if (host.clientWidth > 0) plot.setSize({ width: host.clientWidth, height: 180 });
+      if (host.clientWidth > 0) plot.setSize({ width: host.clientWidth, height: HEIGHT });
     }
   }
 

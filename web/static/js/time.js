@@ -1,6 +1,7 @@
 // Times come from the server in UTC and are shown in the reader's zone, which the top bar names.
 
 const DATE_TIME = new Intl.DateTimeFormat("en-GB", { day: "2-digit", month: "short", year: "numeric", hour: "2-digit", minute: "2-digit", second: "2-digit" });
+const SHORT = new Intl.DateTimeFormat("en-GB", { day: "2-digit", month: "short", hour: "2-digit", minute: "2-digit" });
 const DAY = new Intl.DateTimeFormat("en-GB", { day: "2-digit", month: "short", year: "numeric" });
 const MINUTE_S = 60, HOUR_S = 3600, DAY_S = 86400;
 
@@ -21,7 +22,7 @@ export function formatTimes(root = document) {
     if (!(element instanceof HTMLTimeElement)) continue;
     const at = new Date(element.dateTime);
     const style = element.dataset.style;
-    const words = style === "ago" ? ago(at, now) : style === "day" ? DAY.format(at) : DATE_TIME.format(at);
+    const words = style === "ago" ? ago(at, now) : (style === "short" ? SHORT : DATE_TIME).format(at);
     if (element.textContent !== words) element.textContent = words;
     element.title = `${DATE_TIME.format(at)} (${at.toISOString().slice(0, 19)}Z)`;
   }

@@ -1,0 +1,160 @@
+"""Uploading over HTTP."""
+
+from __future__ import annotations
+
+import asyncio
+import datetime as dt
+from typing import Annotated, cast
+
+from anyio import CapacityLimiter, to_thread
+from fastapi import APIRouter, Header, Request
+from starlette.requests import ClientDisconnect
+
+from server.accounts.access import Caller, DeviceCaller
+from server.database import Database
+from server.edge import DatabaseOf, Now, SettingsOf, StoreOf, Wake
+from server.errors import ProblemError, TooLargeError, TooManyRequestsError
+from server.formats.decode import decode, media_type_of
+from server.formats.encoding import encoding_of, unpack
+from server.ingest import queries, service
+from server.ingest.schemas import Acknowledgement
+from server.limits import TokenBuckets
+from server.settings import Settings
+from server.store import BlobStore, blob_key
+from server.telemetry import Telemetry
+
+PATH = "/api/v1/batches"
+# A box on a bad link is slow, but one that stops in the middle must not hold a connection for ever.
+BODY_TIMEOUT_S = 120.0
+
+router = APIRouter(tags=["devices"])
+
+
+class SlowBodyError(ProblemError):
+    status, code, title = 408, "body_timeout", "The body did not arrive in time"
+
+
+_BODY = {
+    "requestBody": {
+        "required": True,
+        "content": {
+            "application/json": {"schema": {"type": "object", "required": ["columns"]}},
+            "text/csv": {"schema": {"type": "string"}},
+            "application/vnd.apache.parquet": {"schema": {"type": "string", "format": "binary"}},
+            "application/vnd.apache.arrow.stream": {"schema": {"type": "string", "format": "binary"}},
+        },
+    }
+}
+
+
+@router.post(PATH, status_code=202, openapi_extra=_BODY)
+async def upload(
+    request: Request,
+    caller: DeviceCaller,
+    settings: SettingsOf,
+    database: DatabaseOf,
+    store: StoreOf,
+    now: Now,
+    idempotency_key: Annotated[str | None, Header(description="<boot>/<sequence>")] = None,
+    scatola_stream: Annotated[str | None, Header(description="continuous or burst")] = None,
+    content_type: Annotated[str, Header()] = "",
+    content_encoding: Annotated[str, Header()] = "",
+) -> Acknowledgement:
+    """Store a batch of columns; once this answers 202 it is durable and will be worked off."""
+    state = request.app.state
+    wait_s = cast("TokenBuckets", state.uploads).take(cast("str", caller.device_id), now.timestamp())
+    if wait_s > 0.0:
+        seconds = int(wait_s) + 1
+        raise TooManyRequestsError(f"Too many uploads; try again in {seconds} s", retry_after_s=seconds)
+    key = service.key_of(idempotency_key, scatola_stream)
+    media_type = media_type_of(content_type)
+    encoding = encoding_of(content_encoding)
+    packed = await _body(request, settings.max_body_bytes)
+
+    def work() -> tuple[Acknowledgement, int]:
+        body = unpack(packed, encoding, max_bytes=settings.max_decoded_bytes)
+        return _store(settings, database, store, caller, key, media_type, body, now)
+
+    answer, rows = await to_thread.run_sync(work, limiter=cast("CapacityLimiter", state.upload_slots))
+    telemetry = cast("Telemetry", state.telemetry)
+    telemetry.batches.labels("duplicate" if answer.duplicate else "accepted").inc()
+    if not answer.duplicate:
+        telemetry.batch_bytes.inc(len(packed))
+        telemetry.batch_rows.inc(rows)
+        cast("Wake", state.wake)(cast("str", caller.device_id))
+    return answer
+
+
+async def _body(request: Request, max_bytes: int) -> bytes:
+    announced = request.headers.get("content-length", "")
+    if announced.isdecimal() and int(announced) > max_bytes:
+        raise TooLargeError(f"The body is larger than {max_bytes} bytes")
+    body = bytearray()
+    try:
+        async with asyncio.timeout(BODY_TIMEOUT_S):
+            async for chunk in request.stream():
+                body += chunk
+                if len(body) > max_bytes:
+                    raise TooLargeError(f"The body is larger than {max_bytes} bytes")
+    except TimeoutError:
+        raise SlowBodyError(f"The body did not arrive within {BODY_TIMEOUT_S:g} s") from None
+    except ClientDisconnect:
+        raise SlowBodyError("The connection ended within the body") from None
+    return bytes(body)
+
+
+def _store(
+    settings: Settings,
+    database: Database,
+    store: BlobStore,
+    caller: Caller,
+    key: service.BatchKey,
+    media_type: str,
+    body: bytes,
+    now: dt.datetime,
+) -> tuple[Acknowledgement, int]:
+    """The answer, and how many rows are new."""
+    device_id = cast("str", caller.device_id)
+    sha256 = service.body_sha256(body)
+    with database.reading() as session:
+        # Most repeats end here, undecoded; `accept` asks again under the device's lock.
+        stored = service.known(session, device_id, key, media_type, sha256)
+    if stored is not None:
+        return _answer(database, device_id, key, stored.id, now, duplicate=True), 0
+    columns = decode(media_type, body, max_decoded_bytes=settings.max_decoded_bytes)
+    column_sha256 = columns.column_sha256()
+    parquet = columns.to_parquet()
+    stored_key = blob_key(caller.organisation_id, device_id, column_sha256, "parquet")
+    store.put(stored_key, parquet)
+    body_key = blob_key(caller.organisation_id, device_id, sha256, "body") if key.stream == "burst" else None
+    if body_key is not None:
+        store.put(body_key, body)
+    made = service.Upload(
+        key=key,
+        media_type=media_type,
+        body_sha256=sha256,
+        columns=columns,
+        column_sha256=column_sha256,
+        blob_key=stored_key,
+        body_key=body_key,
+        stored_bytes=len(parquet) + (len(body) if body_key is not None else 0),
+    )
+    with database.transaction() as session:
+        batch, duplicate = service.accept(session, device_id, made, now=now)
+        batch_id = batch.id
+    return _answer(database, device_id, key, batch_id, now, duplicate=duplicate), 0 if duplicate else columns.rows
+
+
+def _answer(
+    database: Database, device_id: str, key: service.BatchKey, batch_id: str, now: dt.datetime, *, duplicate: bool
+) -> Acknowledgement:
+    with database.reading() as session:
+        progress = queries.progress(session, device_id, key.stream, key.boot)
+    return Acknowledgement(
+        batch_id=batch_id,
+        duplicate=duplicate,
+        next_sequence=progress.next_sequence,
+        missing=progress.missing,
+        server_time=now,
+        requests=[],
+    )

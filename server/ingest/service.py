@@ -1,0 +1,152 @@
+"""Accepting a batch: check, make durable, commit, answer; nothing is estimated here."""
+
+from __future__ import annotations
+
+import datetime as dt
+import hashlib
+import re
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from sqlalchemy import select
+from sqlalchemy.orm import Session
+
+from server.errors import ConflictError, InvalidError, UnauthenticatedError
+from server.formats.columns import Columns
+from server.ingest.chain import link
+from server.live.changes import announce
+from server.models import Batch, Device, new_id
+
+Stream = Literal["continuous", "burst"]
+
+_KEY = re.compile(r"(?P<boot>[A-Za-z0-9._-]{1,64})/(?P<sequence>0|[1-9][0-9]{0,15})")
+# The largest integer that every JSON reader keeps exact.
+_MAX_SEQUENCE = 2**53 - 1
+
+
+@dataclass(frozen=True, slots=True)
+class BatchKey:
+    """What makes a batch the same batch again."""
+
+    stream: Stream
+    boot: str
+    sequence: int
+
+
+@dataclass(frozen=True, slots=True)
+class Upload:
+    """A checked upload whose blobs are durable."""
+
+    key: BatchKey
+    media_type: str
+    body_sha256: str
+    columns: Columns
+    column_sha256: str
+    blob_key: str
+    body_key: str | None
+    stored_bytes: int
+
+
+def key_of(idempotency_key: str | None, stream: str | None) -> BatchKey:
+    """Stream, boot and sequence from the request's headers."""
+    match = _KEY.fullmatch(idempotency_key or "")
+    if match is None or int(match["sequence"]) > _MAX_SEQUENCE:
+        raise InvalidError(
+            "Idempotency-Key is <boot>/<sequence>: 1 to 64 of A-Z a-z 0-9 . _ - and a decimal number from 0",
+            code="idempotency_key",
+        )
+    named = "continuous" if stream is None else stream.strip().lower()
+    if named not in ("continuous", "burst"):
+        raise InvalidError("Scatola-Stream is continuous or burst", code="stream")
+    return BatchKey(stream=named, boot=match["boot"], sequence=int(match["sequence"]))
+
+
+def body_sha256(body: bytes) -> str:
+    """Hash of a body once its Content-Encoding is undone."""
+    return hashlib.sha256(body).hexdigest()
+
+
+def known(session: Session, device_id: str, key: BatchKey, media_type: str, sha256: str) -> Batch | None:
+    """The batch stored under this key, if any; raises when it was another."""
+    batch = session.scalar(
+        select(Batch).where(
+            Batch.device_id == device_id,
+            Batch.stream == key.stream,
+            Batch.boot == key.boot,
+            Batch.sequence == key.sequence,
+        )
+    )
+    if batch is not None and (batch.body_sha256, batch.media_type) != (sha256, media_type):
+        raise ConflictError(
+            "Another body was stored under this key; a sequence is used once", code="sequence_reused", batch_id=batch.id
+        )
+    return batch
+
+
+def accept(session: Session, device_id: str, upload: Upload, *, now: dt.datetime) -> tuple[Batch, bool]:
+    """Store the row of an upload, and whether it was there already.
+
+    The device's row is locked: its chain grows one link at a time, and a key that is sent twice at
+    once is stored once.
+    """
+    device = session.get_one(Device, device_id, with_for_update=True)
+    if device.revoked_at is not None:
+        raise UnauthenticatedError("The device is revoked")
+    device.last_seen_at = now
+    stored = known(session, device_id, upload.key, upload.media_type, upload.body_sha256)
+    if stored is not None:
+        return stored, True
+    chain = link(
+        device.chain_head or device.id,
+        body_sha256=upload.body_sha256,
+        column_sha256=upload.column_sha256,
+        stream=upload.key.stream,
+        boot=upload.key.boot,
+        sequence=upload.key.sequence,
+        received_at=now,
+    )
+    t = upload.columns.values["t"]
+    batch = Batch(
+        id=new_id(),
+        organisation_id=device.organisation_id,
+        device_id=device.id,
+        stream=upload.key.stream,
+        boot=upload.key.boot,
+        sequence=upload.key.sequence,
+        media_type=upload.media_type,
+        body_sha256=upload.body_sha256,
+        column_sha256=upload.column_sha256,
+        blob_key=upload.blob_key,
+        body_key=upload.body_key,
+        stored_bytes=upload.stored_bytes,
+        rows=upload.columns.rows,
+        t_first_s=float(t.min()),
+        t_last_s=float(t.max()),
+        received_at=now,
+        chain_index=device.chain_length,
+        chain_sha256=chain,
+        remarks=remarks_on(upload.columns),
+    )
+    session.add(batch)
+    device.chain_length += 1
+    device.chain_head = chain
+    announce(
+        session,
+        "batch",
+        at=now,
+        organisation_id=device.organisation_id,
+        device_id=device.id,
+        vehicle_id=device.vehicle_id,
+        data={"stream": batch.stream, "rows": batch.rows},
+    )
+    return batch, False
+
+
+def remarks_on(columns: Columns) -> list[dict[str, str]]:
+    """What a reader of the results must know of these rows."""
+    steps = np.diff(columns.values["t"])
+    back = int(np.count_nonzero(steps < 0.0))
+    if not back:
+        return []
+    return [{"code": "rows_out_of_order", "detail": f"Time goes back {back} times within the batch"}]
