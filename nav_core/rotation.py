@@ -1,13 +1,13 @@
 """Rotations at the public edge: the thesis' angles, small rotations, quaternion order.
 
 Rotations are Hamilton quaternions in scipy's order (x, y, z, w) and appear publicly as 3x3
-matrices or `scipy.spatial.transform.Rotation`.  Kernels use plain arrays.
+matrices or `scipy.spatial.transform.Rotation`.  Kernels use plain arrays.  scipy is imported
+where it is needed and not above, so that the API process can convert angles without loading it.
 """
 
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from nav_core.errors import ShapeError
 from nav_core.typing import Floats
@@ -31,7 +31,11 @@ def thesis_to_matrix(theta: float, phi: float, psi: float) -> Floats:
     The product of 001 eqs. 3.6-3.8.  The matrix printed in 3.9 exchanges theta and phi and is
     not followed (docs/equations.md).
     """
-    return Rotation.from_euler("YZX", [theta, phi, psi]).as_matrix()
+    ct, st, cf, sf, cp, sp = (trig(angle) for angle in (theta, phi, psi) for trig in (np.cos, np.sin))
+    Ry = np.array([[ct, 0.0, st], [0.0, 1.0, 0.0], [-st, 0.0, ct]])
+    Rz = np.array([[cf, -sf, 0.0], [sf, cf, 0.0], [0.0, 0.0, 1.0]])
+    Rx = np.array([[1.0, 0.0, 0.0], [0.0, cp, -sp], [0.0, sp, cp]])
+    return Ry @ Rz @ Rx
 
 
 def matrix_to_thesis(R_va: Floats) -> Floats:
@@ -76,6 +80,8 @@ def error_between(estimate: Floats, truth: Floats) -> Floats:
     ndarray, shape (3,)
         Rotation vector `e` in rad with ``estimate = exp([e]x) @ truth``.
     """
+    from scipy.spatial.transform import Rotation
+
     return Rotation.from_matrix(estimate @ truth.T).as_rotvec()
 
 

@@ -5,9 +5,8 @@ from __future__ import annotations
 import datetime as dt
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
-from importlib import metadata
+from importlib import import_module, metadata
 from importlib.util import find_spec
-from importlib import import_module
 
 from anyio import CapacityLimiter
 from fastapi import FastAPI

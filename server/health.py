@@ -108,5 +108,6 @@ def docs(request: Request) -> HTMLResponse:
         '<!doctype html><html lang="en"><meta charset="utf-8"><title>Scatola API</title>'
         '<meta name="viewport" content="width=device-width, initial-scale=1"><h1>Scatola API</h1>'
         '<p>The machine-readable description is <a href="/openapi.json">openapi.json</a>.</p>'
-        f"<table><thead><tr><th>Method</th><th>Path</th><th>What it does</th></tr></thead>{''.join(rows)}</table></html>"
+        "<table><thead><tr><th>Method</th><th>Path</th><th>What it does</th></tr></thead>"
+        f"<tbody>{''.join(rows)}</tbody></table></html>"
     )

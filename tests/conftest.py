@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import datetime as dt
+import logging
 import os
 import shutil
 import threading
@@ -20,6 +21,7 @@ from pathlib import Path
 import httpx
 import pytest
 import sqlalchemy as sa
+import structlog
 import uvicorn
 from fastapi import FastAPI
 from sqlalchemy.exc import OperationalError
@@ -41,6 +43,8 @@ MakeDevice = Callable[..., tuple[str, str]]
 
 def pytest_configure(config):
     config.addinivalue_line("markers", "both_databases: runs on SQLite and on PostgreSQL")
+    # The service logs from its own thread, past pytest's capture.
+    structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(logging.CRITICAL))
 
 
 def pytest_generate_tests(metafunc):

@@ -7,6 +7,7 @@ while that makes the recording more likely.  They are never lowered: a smooth dr
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -55,12 +56,27 @@ def adapted(record: Record, R_va: Floats, lags: tuple[float, float], noise: Nois
 
     found = noise
     for groups, cost in ((_PITCH_LEVELS, pitch_cost), (_YAW_LEVELS, yaw_cost)):
-        best = cost(found)
-        for group in groups:
-            for step in _LADDER[1:]:
-                trial = replace(found, **{name: getattr(noise, name) * step for name in group})
-                now = cost(trial)
-                if now > best - GAIN:
-                    break
-                found, best = trial, now
+        found = _climb(found, noise, groups, cost)
     return found
+
+
+def _climb(
+    found: Noise, base: Noise, groups: tuple[tuple[str, ...], ...], cost: Callable[[Noise], float]
+) -> Noise:
+    """One step up at a time, always the one that gains most."""
+    best = cost(found)
+    height = dict.fromkeys(groups, 0)
+    while True:
+        trials: list[tuple[float, tuple[str, ...], Noise]] = []
+        for group, level in height.items():
+            if level + 1 < len(_LADDER):
+                scale = _LADDER[level + 1]
+                trial = replace(found, **{name: getattr(base, name) * scale for name in group})
+                trials.append((cost(trial), group, trial))
+        if not trials:
+            return found
+        now, group, trial = min(trials, key=lambda entry: entry[0])
+        if now > best - GAIN:
+            return found
+        best, found = now, trial
+        height[group] += 1

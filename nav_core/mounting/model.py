@@ -253,7 +253,7 @@ def turned(record: Record, R_va: Floats, lag: float) -> Frame:
     f = record.f @ R_va.T
     speed = np.interp(record.t + lag, record.fixes.t, record.fixes.speed)
     inverse = 1.0 / np.maximum(speed, FLOOR_SPEED)
-    w = np.where(speed > FLOOR_SPEED, (f[:, 1] - np.median(f[:, 1])) * inverse, 0.0)
+    w = np.where(speed > FLOOR_SPEED, f[:, 1] * inverse, 0.0)
     return Frame(f, w, inverse)
 
 

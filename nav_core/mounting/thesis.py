@@ -243,8 +243,9 @@ def estimate_thesis(drive: Drive, *, errata: ErrataName | Errata = "corrected") 
 
 def _is_sound(run: ThesisRun) -> bool:
     """Whether the filter lasted and its covariance was one throughout; the printed 4.23 does not keep it so."""
-    variances = np.einsum("kii->ki", run.history.mounting_covariance)
-    return run.done == run.steps.t.size and bool(np.all(variances >= 0.0))
+    if run.done < run.steps.t.size:
+        return False
+    return bool(np.linalg.eigvalsh(run.history.mounting_covariance)[:, 0].min() > 0.0)
 
 
 def _converged_after(run: ThesisRun) -> float | None:

@@ -55,9 +55,7 @@ def new_sign_in_code(session: Session, organisation_id: str, *, now: dt.datetime
     """A one-time code that opens a session within a day."""
     code = new_code()
     session.add(
-        SignInCode(
-            code_hash=hash_of(code), organisation_id=organisation_id, created_at=now, expires_at=now + CODE_LIFE
-        )
+        SignInCode(code_hash=hash_of(code), organisation_id=organisation_id, created_at=now, expires_at=now + CODE_LIFE)
     )
     return code
 

@@ -85,7 +85,5 @@ def put_into_vehicle(
 ) -> DeviceOut:
     """Swap a box to another vehicle, or take it out; its installation ends there."""
     with database.transaction() as session:
-        service.put_into_vehicle(
-            session, caller.organisation_id, device_id, wanted.vehicle_id, at=wanted.at, now=now
-        )
+        service.put_into_vehicle(session, caller.organisation_id, device_id, wanted.vehicle_id, at=wanted.at, now=now)
         return queries.device(session, caller.organisation_id, device_id)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from typing import Any
 
 import pyarrow as pa
 from pyarrow import ipc
@@ -10,6 +11,11 @@ from pyarrow import ipc
 from server.errors import InvalidError
 from server.formats.columns import NAMES, Columns, check_names, check_size
 from server.formats.tables import column_of, is_numeric
+
+# pyarrow ships no types.
+Schema = Any
+Message = Any
+Buffer = Any
 
 _BUFFER = struct.Struct("<qq")
 # Positions of fields in Arrow's flatbuffer tables Message and RecordBatch (format/Message.fbs).
@@ -38,7 +44,7 @@ def read(body: bytes, *, max_decoded_bytes: int) -> Columns:
         raise InvalidError(f"Not a readable Arrow stream: {str(error)[:200]}", code="arrow") from error
 
 
-def _check(schema: pa.Schema) -> None:
+def _check(schema: Schema) -> None:
     if len(schema) > len(NAMES) or len(set(schema.names)) != len(schema):
         raise InvalidError("A column is there twice, or there are too many", code="columns")
     check_names(tuple(schema.names))
@@ -47,7 +53,7 @@ def _check(schema: pa.Schema) -> None:
             raise InvalidError(f"Column {field.name!r} holds {str(field.type)[:40]}, not numbers", code="columns")
 
 
-def _measure(message: ipc.Message) -> tuple[int, int]:
+def _measure(message: Message) -> tuple[int, int]:
     """Rows of a record batch, and the bytes its buffers unpack to."""
     if message.type != "record batch":
         raise InvalidError(f"A {message.type} message: send plain columns", code="arrow")
@@ -87,7 +93,7 @@ def _field(data: bytes, table: int, index: int) -> int:
     return table + offset if offset else 0
 
 
-def _unpacked(body: pa.Buffer, offset: int, length: int) -> int:
+def _unpacked(body: Buffer, offset: int, length: int) -> int:
     """A packed buffer begins with its unpacked size; -1 says that it is not packed after all."""
     if length < 8:
         return max(length, 0)

@@ -111,7 +111,9 @@ def check_names(names: Mapping[str, object] | tuple[str, ...]) -> None:
     for group in _TOGETHER:
         given = [name for name in group if name in names]
         if given and len(given) != len(group):
-            raise InvalidError(f"Columns {', '.join(group)} come together; only {', '.join(given)} given", code="columns")
+            raise InvalidError(
+                f"Columns {', '.join(group)} come together; only {', '.join(given)} given", code="columns"
+            )
 
 
 def check_size(rows: int, columns: int, max_decoded_bytes: int | None) -> None:

@@ -10,7 +10,7 @@ import pyarrow.parquet as pq
 from server.errors import InvalidError
 from server.formats.columns import NAMES, Columns, check_names, check_size
 from server.formats.parquet_pages import unpacked_bytes
-from server.formats.tables import column_of
+from server.formats.tables import column_of, table_of
 
 _PHYSICAL_TYPES = frozenset({"DOUBLE", "FLOAT", "INT32", "INT64", "BOOLEAN"})
 # The footer is unpacked before it can be looked at.
@@ -20,10 +20,10 @@ _MAX_FOOTER_LIST = 10_000
 
 def write(columns: Columns) -> bytes:
     """Columns as Parquet: zstd, null where not sampled, the same bytes for the same columns and library."""
-    arrays = [pa.array(values, from_pandas=True) for values in columns.values.values()]
-    table = pa.Table.from_arrays(arrays, names=list(columns.values))
     sink = io.BytesIO()
-    pq.write_table(table, sink, compression="zstd", compression_level=3, write_statistics=False, store_schema=False)
+    pq.write_table(
+        table_of(columns), sink, compression="zstd", compression_level=3, write_statistics=False, store_schema=False
+    )
     return sink.getvalue()
 
 
@@ -45,7 +45,9 @@ def read(body: bytes, *, max_decoded_bytes: int | None) -> Columns:
 def _check(file: pq.ParquetFile, body: bytes, max_decoded_bytes: int | None) -> tuple[str, ...]:
     metadata = file.metadata
     if metadata.num_columns > len(NAMES):
-        raise InvalidError(f"{metadata.num_columns} columns; there are only {len(NAMES)} to choose from", code="columns")
+        raise InvalidError(
+            f"{metadata.num_columns} columns; there are only {len(NAMES)} to choose from", code="columns"
+        )
     names: list[str] = []
     for index in range(metadata.num_columns):
         column = metadata.schema.column(index)

@@ -7,9 +7,11 @@ matter here, the rest is stepped over.
 
 from __future__ import annotations
 
-import pyarrow.parquet as pq
+from typing import Any
 
 from server.errors import InvalidError
+
+Metadata = Any  # pyarrow ships no types
 
 # Wire types of the compact protocol.
 _STOP, _TRUE, _FALSE, _BYTE, _I16, _I32, _I64, _DOUBLE, _BINARY, _LIST, _SET, _MAP, _STRUCT = range(13)
@@ -17,7 +19,7 @@ _UNPACKED_SIZE, _PACKED_SIZE = 2, 3
 _MAX_DEPTH = 8
 
 
-def unpacked_bytes(metadata: pq.FileMetaData, body: bytes, limit: int) -> int:
+def unpacked_bytes(metadata: Metadata, body: bytes, limit: int) -> int:
     """Sum of the unpacked sizes of all pages; stops adding once it is over the limit.
 
     Raises

@@ -2,21 +2,28 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pyarrow as pa
 
 from server.errors import InvalidError
-from server.formats.columns import Floats, not_finite
+from server.formats.columns import Columns, Floats, not_finite
+
+# pyarrow ships no types.
+DataType = Any
+Column = Any
+Table = Any
 
 
-def is_numeric(kind: pa.DataType) -> bool:
+def is_numeric(kind: DataType) -> bool:
     """Whether a type holds numbers, flags or nothing at all."""
     return bool(
         pa.types.is_floating(kind) or pa.types.is_integer(kind) or pa.types.is_boolean(kind) or pa.types.is_null(kind)
     )
 
 
-def column_of(name: str, column: pa.ChunkedArray) -> Floats:
+def column_of(name: str, column: Column) -> Floats:
     """Values with NaN for null; a NaN or infinity that was sent is refused."""
     if not is_numeric(column.type):
         raise InvalidError(f"Column {name!r} holds {str(column.type)[:40]}, not numbers", code="columns", column=name)
@@ -28,3 +35,9 @@ def column_of(name: str, column: pa.ChunkedArray) -> Floats:
         if bad.any():
             raise not_finite(name, int(np.argmax(bad)))
     return values
+
+
+def table_of(columns: Columns) -> Table:
+    """An Arrow table with null where not sampled."""
+    arrays = [pa.array(values, from_pandas=True) for values in columns.values.values()]
+    return pa.Table.from_arrays(arrays, names=list(columns.values))

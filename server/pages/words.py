@@ -31,8 +31,8 @@ class Standing:
 
     @property
     def percent_says(self) -> bool:
-        """Whether the percentage adds something to the headline: not to a full stop, nor when all is done."""
-        return self.state in ("attention", "unknown")
+        """Whether the percentage adds something to the headline: only while something is under way."""
+        return self.state in ("attention", "unknown") and 0 < self.percent
 
 
 def standing(status: str | None, result: Mapping[str, Any], *, progress: float, moved: bool) -> Standing:

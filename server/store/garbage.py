@@ -31,4 +31,6 @@ def _has_row(database: Database, key: str) -> bool:
     # By device first: the blob columns have no index of their own, and need none for this.
     of_device = Batch.organisation_id == organisation_id, Batch.device_id == device_id
     with database.reading() as session:
-        return bool(session.scalar(select(exists().where(*of_device, or_(Batch.blob_key == key, Batch.body_key == key)))))
+        return bool(
+            session.scalar(select(exists().where(*of_device, or_(Batch.blob_key == key, Batch.body_key == key))))
+        )

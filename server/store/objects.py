@@ -8,7 +8,7 @@ from __future__ import annotations
 import datetime as dt
 from collections.abc import Iterator
 
-from obstore.exceptions import BaseError, NotFoundError
+from obstore.exceptions import BaseError
 from obstore.store import from_url
 
 
@@ -25,7 +25,7 @@ class ObjectStore:
     def get(self, key: str) -> bytes:
         try:
             return bytes(self._bucket.get(key).bytes())
-        except (NotFoundError, FileNotFoundError):
+        except FileNotFoundError:
             raise KeyError(key) from None
 
     def exists(self, key: str) -> bool:
@@ -34,7 +34,7 @@ class ObjectStore:
     def _modified(self, key: str) -> dt.datetime | None:
         try:
             return self._bucket.head(key)["last_modified"]
-        except (NotFoundError, FileNotFoundError):
+        except FileNotFoundError:
             return None
 
     def stale(self, before: dt.datetime) -> Iterator[str]:

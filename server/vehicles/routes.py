@@ -43,9 +43,7 @@ def read(vehicle_id: str, caller: Reader, database: DatabaseOf) -> VehicleOut:
 
 
 @router.patch("/{vehicle_id}")
-def change(
-    vehicle_id: str, wanted: VehicleChange, caller: Administrator, database: DatabaseOf, now: Now
-) -> VehicleOut:
+def change(vehicle_id: str, wanted: VehicleChange, caller: Administrator, database: DatabaseOf, now: Now) -> VehicleOut:
     """Change what is named."""
     with database.transaction() as session:
         service.change(session, caller.organisation_id, vehicle_id, wanted, now=now)

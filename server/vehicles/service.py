@@ -45,9 +45,7 @@ def change(
 def remove(session: Session, organisation_id: str, vehicle_id: str, *, now: dt.datetime) -> None:
     """Delete a vehicle that never had a box; what happened in a vehicle stays on record."""
     vehicle = vehicle_of(session, organisation_id, vehicle_id)
-    has_history = (
-        exists().where(table.vehicle_id == vehicle.id) for table in (Assignment, Device, Installation, Trip)
-    )
+    has_history = (exists().where(table.vehicle_id == vehicle.id) for table in (Assignment, Device, Installation, Trip))
     if any(session.scalar(select(found)) for found in has_history):
         raise ConflictError("The vehicle has had a box; its record is kept", code="vehicle_in_use")
     _announce(session, vehicle, now)

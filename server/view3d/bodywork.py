@@ -50,6 +50,7 @@ class Body:
     lofts: tuple[Loft, ...]
     wheels: tuple[Wheel, ...]
     box: tuple[float, float, float]
+    box_scale: float
     length: float
     width: float
     height: float
@@ -86,6 +87,7 @@ _CAR = Body(
     ),
     wheels=_axles((1.36, -1.32), 1.56, 0.32, 0.21),
     box=(0.15, 0.0, -0.98),
+    box_scale=1.0,
     length=4.4,
     width=1.8,
     height=1.45,
@@ -116,6 +118,7 @@ _VAN = Body(
     ),
     wheels=_axles((1.75, -1.70), 1.72, 0.35, 0.24),
     box=(0.9, 0.0, -1.45),
+    box_scale=1.15,
     length=5.5,
     width=2.0,
     height=2.3,
@@ -136,6 +139,7 @@ _TRUCK = Body(
     ),
     wheels=_axles((2.75, -2.30), 2.05, 0.50, 0.36),
     box=(2.7, 0.0, -1.90),
+    box_scale=1.5,
     length=8.0,
     width=2.5,
     height=3.5,
@@ -163,6 +167,7 @@ _BUS = Body(
     ),
     wheels=_axles((2.60, -3.00), 2.10, 0.48, 0.32),
     box=(3.6, 0.0, -1.60),
+    box_scale=1.5,
     length=10.0,
     width=2.5,
     height=3.0,
@@ -183,6 +188,7 @@ _MOTORCYCLE = Body(
     ),
     wheels=(Wheel(0.72, 0.0, 0.31, 0.12), Wheel(-0.70, 0.0, 0.31, 0.16)),
     box=(-0.25, 0.0, -1.05),
+    box_scale=0.6,
     length=2.1,
     width=0.8,
     height=1.25,

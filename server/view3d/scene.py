@@ -26,9 +26,11 @@ _STATE_COLOURS = {"good": "#1e9e54", "attention": "#c77700", "alarm": "#d63031",
 _METAL, _GLASS, _RUBBER, _LINE = (96, 112, 130), (120, 140, 160), (62, 68, 76), (104, 116, 130)
 _BOX, _REFERENCE, _GHOST = (240, 140, 10), (150, 40, 200), (140, 146, 154)
 
+_NARROW_PX = 720
+
 # The box is drawn larger than it is, or it would be a dot in the car.
 _BOX_SIZE = (0.60, 0.40, 0.20)
-_A_LENGTH, _V_MARGIN = 1.05, 0.65
+_AXIS_TO_BOX, _V_MARGIN = 1.75, 0.65
 
 
 def wxyz(matrix: Floats) -> Floats:
@@ -45,8 +47,7 @@ class MountingScene:
         self._body: viser.FrameHandle | None = None
         self._mounting: viser.FrameHandle | None = None
         self._shown: MountingView | None = None
-        server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="small")
-        server.gui.set_panel_label("Mounting")
+        server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="medium")
         server.scene.configure_default_lights(enabled=False)
         self._panel = server.gui.add_html("")
         server.scene.add_grid(
@@ -64,6 +65,7 @@ class MountingScene:
                 self._vehicle_class = view.vehicle_class
                 self._draw_vehicle(BODIES.get(view.vehicle_class, BODIES["car"]))
             self._draw_box(view)
+            self._server.gui.set_panel_label(headline(view))
             self._panel.content = panel_html(view)
         self._server.flush()
         self._shown = view
@@ -98,10 +100,12 @@ class MountingScene:
             )
         self._draw_v_frame(body)
         camera = self._server.initial_camera
-        reach = max(body.length, 3.6)
+        # The box is the subject: of a long vehicle the tail may leave the picture.
+        reach = 1.4 + 0.58 * min(body.length, 6.5)
+        target = np.array([0.3 + 0.75 * body.box[0], 0.0, 0.5 * body.height])
         camera.fov = float(np.radians(40.0))
-        camera.look_at = (0.12 * body.length, 0.0, 0.45 * body.height)
-        camera.position = (0.95 * reach, -0.95 * reach, 0.45 * body.height + 0.62 * reach)
+        camera.look_at = target
+        camera.position = target + reach * np.array([0.9, -0.95, 0.6])
 
     def _draw_v_frame(self, body: Body) -> None:
         scene = self._server.scene
@@ -134,14 +138,15 @@ class MountingScene:
         if self._mounting is not None:
             self._mounting.remove()
         self._mounting = scene.add_frame("/vehicle/mounting", show_axes=False, position=body.box)
+        size = body.box_scale * np.array(_BOX_SIZE)
         if view.R_va is None:
-            self._draw_ghost(view)
+            self._draw_ghost(view, size)
         else:
-            self._draw_estimate(np.array(view.R_va), view)
+            self._draw_estimate(np.array(view.R_va), view, size)
         if view.reference is not None:
             R_va = np.array(view.reference)
             scene.add_frame("/vehicle/mounting/reference", show_axes=False, wxyz=wxyz(R_va))
-            edges = box_edges(1.12)
+            edges = box_edges(1.12 * size)
             scene.add_line_segments(
                 "/vehicle/mounting/reference/outline", edges.astype(np.float32), _REFERENCE, thickness=0.012
             )
@@ -149,15 +154,16 @@ class MountingScene:
                 "/vehicle/mounting/reference/label", "reference", position=edges[0, 0], anchor="center-right"
             )
 
-    def _draw_estimate(self, R_va: Floats, view: MountingView) -> None:
+    def _draw_estimate(self, R_va: Floats, view: MountingView, size: Floats) -> None:
         scene = self._server.scene
+        length = _AXIS_TO_BOX * float(size.max())
         scene.add_frame("/vehicle/mounting/box", show_axes=False, wxyz=wxyz(R_va))
-        scene.add_box("/vehicle/mounting/box/case", _BOX, _BOX_SIZE)
+        scene.add_box("/vehicle/mounting/box/case", _BOX, size)
         scene.add_line_segments(
-            "/vehicle/mounting/box/edges", box_edges(1.0).astype(np.float32), (120, 72, 8), thickness=0.008
+            "/vehicle/mounting/box/edges", box_edges(size).astype(np.float32), (120, 72, 8), thickness=0.008
         )
         for axis, name in enumerate("xyz"):
-            tip = _A_LENGTH * np.eye(3)[axis]
+            tip = length * np.eye(3)[axis]
             scene.add_arrows(
                 f"/vehicle/mounting/box/{name}",
                 np.array([[np.zeros(3), tip]], dtype=np.float32),
@@ -172,7 +178,7 @@ class MountingScene:
             )  # fmt: skip
             if view.sigma is not None:
                 # The sigmas are about the V axes, so the cones are children of the V-frame, not of the box.
-                vertices, faces = cone(R_va[:, axis], np.array(view.sigma), 1.35 * _A_LENGTH)
+                vertices, faces = cone(R_va[:, axis], np.array(view.sigma), 1.35 * length)
                 scene.add_mesh_simple(
                     f"/vehicle/mounting/cone_{name}",
                     vertices.astype(np.float32),
@@ -182,10 +188,10 @@ class MountingScene:
                     side="double",
                 )
 
-    def _draw_ghost(self, view: MountingView) -> None:
+    def _draw_ghost(self, view: MountingView, size: Floats) -> None:
         scene = self._server.scene
         # A ball: every orientation of the box fits into it and none is suggested.
-        radius = 0.5 * float(np.linalg.norm(_BOX_SIZE))
+        radius = 0.5 * float(np.linalg.norm(size))
         scene.add_icosphere("/vehicle/mounting/ghost", radius, _GHOST, subdivisions=3, opacity=0.35)
         scene.add_icosphere("/vehicle/mounting/ghost_lines", radius, _GHOST, subdivisions=2, wireframe=True)
         scene.add_label(
@@ -196,29 +202,37 @@ class MountingScene:
         )
 
 
-def box_edges(scale: float) -> Floats:
-    """The twelve edges of the box in its own frame, shape (12, 2, 3)."""
+def box_edges(size: Floats) -> Floats:
+    """The twelve edges of a box in its own frame, shape (12, 2, 3)."""
     corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
     pairs = [(a, b) for a in range(8) for b in range(a) if np.count_nonzero(corners[a] != corners[b]) == 1]
-    return 0.5 * scale * np.array(_BOX_SIZE) * corners[np.array(pairs)]
+    return 0.5 * size * corners[np.array(pairs)]
+
+
+def headline(view: MountingView) -> str:
+    """The one line that stays in the smallest frame."""
+    if view.state == "good" and view.sigma is not None:
+        return f"{view.headline} · ±{np.degrees(max(view.sigma)):.1f}°"
+    return f"{view.headline} · {view.percent} %"
 
 
 def panel_html(view: MountingView) -> str:
-    """The words beside the scene; names come from users and are escaped."""
-    colour = _STATE_COLOURS[view.state]
-    state = f"{html.escape(view.headline)} · {view.percent}&nbsp;%"
-    lines = [
-        f'<div style="font-size:12px;opacity:.7">{html.escape(view.title)}</div>',
-        f'<div style="font-size:16px;font-weight:600"><span style="color:{colour}">●</span> {state}</div>',
-    ]
+    """The words below the headline; names come from users and are escaped."""
+    dot = f'<span style="color:{_STATE_COLOURS[view.state]}">●</span>'
+    lines = [f"<div><b>{dot} {html.escape(view.title)}</b></div>"]
     if view.sigma is None:
         lines.append("<div>Orientation not known yet</div>")
     else:
         values = (f"{name} ±{np.degrees(sigma):.1f}°" for name, sigma in zip("xyz", view.sigma, strict=True))
         lines.append(f'<div style="font-variant-numeric:tabular-nums">{" · ".join(values)}</div>')
     lines.extend(f"<div>{html.escape(reason)}</div>" for reason in view.reasons)
-    legend = "Thick axes: vehicle. Thin axes: box, with its 95&nbsp;% cone. Box drawn larger than it is."
+    legend = "Thick axes: vehicle. Thin axes: box, with its 95&nbsp;% cone. The box is drawn larger than it is."
     if view.reference is not None:
         legend += ' <span style="color:#9628c8">▢</span> Violet outline: reference mounting.'
-    lines.append(f'<div style="font-size:11px;opacity:.65;margin-top:6px">{legend}</div>')
-    return f'<div style="padding:4px 10px 8px;line-height:1.45;font-size:13px">{"".join(lines)}</div>'
+    lines.append(f'<div style="font-size:11px;opacity:.7;margin-top:6px">{legend}</div>')
+    # A small frame is a picture in a page that says all this beside it.
+    fold = f"<style>@media (max-width:{_NARROW_PX}px){{.mounting-words{{display:none}}}}</style>"
+    return (
+        f'{fold}<div class="mounting-words" style="padding:6px 12px 10px;line-height:1.45;font-size:13px">'
+        f"{''.join(lines)}</div>"
+    )

@@ -73,20 +73,17 @@ PLANS = (
 )
 
 
-def seed_fleet(session: Session, store: BlobStore, organisation_id: str, *, now: dt.datetime) -> dict[str, str]:
+def urban_drive() -> Drive:
+    """What the first box recorded."""
+    lat, lon = math.radians(PLANS[0].lat_deg), math.radians(PLANS[0].lon_deg)
+    scenario = Scenario(duration=DRIVE_S, accel_rate=100.0, R_va=MOUNT, start_lat=lat, start_lon=lon)
+    return simulate(scenario, seed=7)[0]
+
+
+def seed_fleet(
+    session: Session, store: BlobStore, organisation_id: str, drive: Drive, *, now: dt.datetime
+) -> dict[str, str]:
     """Write the fleet; the first vehicle has raw data and a trip too.  Returns vehicle ids by name."""
-    drive, _ = simulate(
-        Scenario(
-            route="urban",
-            duration=DRIVE_S,
-            accel_rate=100.0,
-            gnss_rate=4.0,
-            R_va=MOUNT,
-            start_lat=math.radians(PLANS[0].lat_deg),
-            start_lon=math.radians(PLANS[0].lon_deg),
-        ),
-        seed=7,
-    )
     ids: dict[str, str] = {}
     for number, plan in enumerate(PLANS, start=1):
         device = _vehicle_and_box(session, organisation_id, plan, number, now=now)

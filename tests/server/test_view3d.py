@@ -35,7 +35,7 @@ from server.settings import Settings
 from server.view3d import bodywork, permission
 from server.view3d.pool import ScenePool, close_share
 from server.view3d.relay import same_origin
-from server.view3d.scene import R_WORLD_V, MountingScene, panel_html
+from server.view3d.scene import R_WORLD_V, MountingScene, headline, panel_html
 from server.view3d.uncertainty import SIGMAS_95, axis_ellipse, cone
 from server.view3d.view import MountingView, load, view_of
 from server.view3d.viewer import client_page, create_viewer
@@ -161,9 +161,10 @@ def test_words_of_the_panel_are_escaped_and_complete():
     assert "<script>" not in panel
     assert "&lt;script&gt;" in panel
     assert "Make &lt;two&gt; turns." in panel
-    assert "60&nbsp;%" in panel
     assert "x ±0.6°" in panel
     assert "not known yet" in panel_html(view_of("box", "car", None, {}, at=NOW))
+    assert headline(hostile) == "Calibrating · 60 %"
+    assert headline(ready_view()) == "Ready · ±0.9°"
 
 
 @given(

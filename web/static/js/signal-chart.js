@@ -122,17 +122,19 @@ class SignalChart extends HTMLElement {
 
   /** @param {uPlot} plot @param {number} t0 @param {{min: number, max: number}} window @param {(Signals["series"][string] | undefined)[]} columns @param {number} factor */
   #put(plot, t0, window, columns, factor) {
+    plot.root.hidden = !columns[0]?.t.length;
     const times = Array.from(columns[0]?.t ?? [], (t) => t0 + t);
     const values = columns.map((column) => Array.from(column?.values ?? [], (v) => (Number.isNaN(v) ? null : v * factor)));
     plot.setData(/** @type {uPlot.AlignedData} */ ([times, ...values]), false);
     plot.batch(() => {
       plot.setScale("x", window);
       const all = values.flat().filter((v) => v !== null);
+      if (all.length === 0) return;
       const low = Math.min(...all), high = Math.max(...all);
       // A quiet signal keeps a span that shows it as quiet.
       const span = Math.max(high - low, factor === KMH ? 20 : 2), middle = (low + high) / 2;
       const min = factor === KMH ? 0 : middle - span * 0.55;
-      plot.setScale("y", all.length ? { min, max: factor === KMH ? Math.max(high, 20) * 1.1 : middle + span * 0.55 } : { min: 0, max: 1 });
+      plot.setScale("y", { min, max: factor === KMH ? Math.max(high, 20) * 1.1 : middle + span * 0.55 });
     });
   }
 

@@ -1,0 +1,65 @@
+"""`make bench`: what the hot paths cost on this machine, in one process, best of a few runs.
+
+Prints a table; the figures that the README and docs quote come from here.
+"""
+
+from __future__ import annotations
+
+import os
+import platform
+import time
+from collections.abc import Callable
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from server.settings import set_numba_cache_dir
+
+
+def best(function: Callable[[], object], *, repeat: int = 5) -> float:
+    """Shortest of a few runs, s; the first, which may compile, is not counted."""
+    function()
+    durations: list[float] = []
+    for _ in range(repeat):
+        began = time.perf_counter()
+        function()
+        durations.append(time.perf_counter() - began)
+    return min(durations)
+
+
+def main() -> None:
+    """Measure and print."""
+    set_numba_cache_dir()
+    from nav_core.mounting import estimate_mounting, whole_drive
+    from nav_core.mounting.thesis import estimate_thesis
+    from nav_core.signal import decimate
+    from nav_core.simulate import Scenario, simulate
+    from server.formats.columns import Columns
+    from server.formats.drive import from_drive, read_drive_file, to_drive, write_drive_file
+
+    hour, _ = simulate(Scenario(route="urban", duration=3600.0), seed=1)
+    batch = from_drive(simulate(Scenario(route="urban", duration=60.0), seed=1)[0])
+    packed = batch.to_parquet()
+    ticks = decimate(hour.inertial)
+    steps = hour.gnss.t.size
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "hour.parquet"
+        write_drive_file(path, from_drive(hour))
+        rows = [
+            ("simulate 300 s at 200 Hz", best(lambda: simulate(Scenario(duration=300.0), seed=2)), "s"),
+            ("decimate 1 h of 200 Hz to 10 Hz", best(lambda: decimate(hour.inertial)), "s"),
+            ("whole-drive estimate, 1 h of ticks", best(lambda: whole_drive.estimate(ticks, hour.gnss), repeat=3), "s"),
+            (
+                "Parquet file of 1 h at 200 Hz to a mounting",
+                best(lambda: estimate_mounting(read_drive_file(path)), repeat=3),
+                "s",
+            ),
+            ("thesis filter, 1 h at 4 Hz, per fix", 1e6 * best(lambda: estimate_thesis(hour)) / steps, "µs"),
+            ("Parquet batch of 60 s at 200 Hz to a drive", best(lambda: to_drive(Columns.from_parquet(packed))), "s"),
+        ]
+    print(f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}")
+    for name, value, unit in rows:
+        print(f"{name:<48}{value:>12.4g} {unit}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,46 @@
+"""How a box sits in its vehicle: several estimators behind one door."""
+
+from __future__ import annotations
+
+from nav_core.errors import NavigationError
+from nav_core.records import Drive, MountingEstimate, MountingMethod
+
+__all__ = ["UnknownMethodError", "estimate_mounting"]
+
+
+class UnknownMethodError(NavigationError):
+    """No estimator answers to this name."""
+
+    def __init__(self, method: str, known: tuple[str, ...]) -> None:
+        self.method, self.known = method, known
+        super().__init__(f"method {method!r} is not known, expected one of {', '.join(known)}")
+
+
+def estimate_mounting(drive: Drive, *, method: MountingMethod = "whole-drive") -> MountingEstimate:
+    """Mounting of the box in a recording.
+
+    Parameters
+    ----------
+    drive : Drive
+    method : {"whole-drive", "mekf"}
+        The default uses all of the recording at once; "mekf" is the filter of 001 ch. 4-6.
+
+    Returns
+    -------
+    MountingEstimate
+
+    Raises
+    ------
+    UnknownMethodError
+        If there is no such estimator.
+    """
+    if method == "whole-drive":
+        from nav_core.mounting.whole_drive import estimate
+        from nav_core.signal import decimate
+
+        return estimate(decimate(drive.inertial), drive.gnss)
+    if method == "mekf":
+        from nav_core.mounting.thesis import estimate_thesis
+
+        return estimate_thesis(drive)
+    raise UnknownMethodError(method, ("whole-drive", "mekf"))

@@ -1,0 +1,183 @@
+"""From numbers to a status, and to words that tell a driver what to do."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from nav_core.mounting.closed_form import Start
+from nav_core.mounting.confidence import CONVERGED, Confidence
+from nav_core.mounting.model import FOLLOW_SPEED, Record, gps_rate, unrolled
+from nav_core.records import MountingStatus, Reason
+from nav_core.typing import Floats
+
+MIN_MOVING = 15.0
+"""Least time of driving before anything is said, s."""
+
+MIN_EVENTFUL = 8.0
+"""Least time with noticeable acceleration, along or across, s."""
+
+NOTICEABLE = 0.35
+"""m/s²."""
+
+USELESS = np.radians(15.0)
+"""An axis with a larger sigma is not known at all, rad."""
+
+WANDER = np.radians(15.0)
+"""Gravity that keeps leaving its mean direction by this is not that of a fixed box, rad."""
+
+REASONS = {
+    "no_fix": "No satellite fix yet: give the antenna a view of the sky.",
+    "no_accelerometer": "No accelerometer data for the time of the satellite fixes.",
+    "not_driven": "The vehicle has not been driven yet: drive a few minutes.",
+    "few_events": "Drive a few minutes with some accelerating and braking.",
+    "no_turns": "Make two turns.",
+    "keep_driving": "Keep driving: the estimate is still getting better.",
+    "mismatch": "The accelerations do not match the satellite speed: is the vehicle being carried or towed?",
+    "rough": "The satellite data are poor or the ride is very rough; this takes longer.",
+    "contradiction": "Parts of the drive disagree about how the box sits: check that it is fixed firmly.",
+    "loose": "The box moves in its holder: fix it firmly.",
+    "moved": "The box was moved during the drive; the result is its last position.",
+}
+
+
+def reason(code: str) -> Reason:
+    """The reason of a code, with its sentence."""
+    return Reason(code, REASONS[code])
+
+
+@dataclass(frozen=True, slots=True)
+class Excitation:
+    """What the drive offered.
+
+    Attributes
+    ----------
+    moving : float
+        Time faster than walking, s.
+    along, across : float
+        Time with noticeable acceleration along and across, s.
+    turned : float
+        Sum of all turning, rad.
+    first_moving : float
+        Box time of the first moving fix, s.
+    """
+
+    moving: float
+    along: float
+    across: float
+    turned: float
+    first_moving: float
+
+
+def excitation(record: Record) -> Excitation:
+    """What the drive offered, from the receiver alone."""
+    fixes = record.fixes
+    if fixes.t.size < 2:
+        return Excitation(0.0, 0.0, 0.0, 0.0, 0.0)
+    span = np.minimum(np.diff(fixes.t, prepend=fixes.t[0]), 2.0)
+    moving = fixes.speed > FOLLOW_SPEED
+    a = gps_rate(fixes.t, fixes.speed)
+    w = gps_rate(fixes.t, unrolled(fixes.course)) * moving
+    return Excitation(
+        moving=float(span[moving].sum()),
+        along=float(span[np.abs(a) > NOTICEABLE].sum()),
+        across=float(span[np.abs(w * fixes.speed) > NOTICEABLE].sum()),
+        turned=float((span * np.abs(w)).sum()),
+        first_moving=float(fixes.t[np.argmax(moving)]) if moving.any() else float(fixes.t[0]),
+    )
+
+
+def gravity_wander(record: Record, span: float = 20.0) -> float:
+    """How far the mean direction of specific force strays from stretch to stretch, rad.
+
+    The 80th percentile of the angles between means over `span` seconds and their median.  Hills,
+    bends and braking of a fixed box stay under some 6°.
+    """
+    block = np.floor((record.t - record.t[0]) / span).astype(np.int64)
+    count = np.bincount(block)
+    means = np.stack([np.bincount(block, record.f[:, i]) for i in range(3)], axis=1)
+    means = means[count > 0.5 * count.max()]
+    directions = means / np.linalg.norm(means, axis=1, keepdims=True)
+    middle = np.median(directions, axis=0)
+    middle /= np.linalg.norm(middle)
+    angles = np.arccos(np.clip(directions @ middle, -1.0, 1.0))
+    return float(np.percentile(angles, 80.0))
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """Status, progress and reasons."""
+
+    status: MountingStatus
+    progress: float
+    reliable: bool
+    reasons: tuple[Reason, ...]
+
+
+def before_fit(record: Record, offered: Excitation) -> Verdict | None:
+    """A verdict where there is nothing to fit; None to go on."""
+    if record.fixes.t.size < 3:
+        return Verdict("insufficient", 0.0, False, (reason("no_fix"),))
+    if record.t.size < 20:
+        return Verdict("insufficient", 0.0, False, (reason("no_accelerometer"),))
+    if gravity_wander(record) > WANDER:
+        return Verdict("not_fixed", 0.0, False, (reason("loose"),))
+    share = min(offered.moving / MIN_MOVING, 1.0)
+    if share < 1.0:
+        return Verdict("insufficient", 0.1 * share, False, (reason("not_driven"),))
+    return None
+
+
+def fits_a_car(start: Start) -> bool:
+    """Whether the force along the travel is what the receiver's speed asks for."""
+    return abs(start.strength - 1.0) < max(0.4, 3.0 * start.sigma)
+
+
+def after_fit(start: Start, found: Confidence, offered: Excitation) -> Verdict:
+    """The verdict on a fit.
+
+    Parameters
+    ----------
+    start : Start
+    found : Confidence
+    offered : Excitation
+
+    Returns
+    -------
+    Verdict
+        `ready` when every sigma is under `CONVERGED`, the drive offered enough, the closed form saw
+        a car and the stretches agree.
+    """
+    sigma = np.sqrt(np.diag(found.covariance))
+    reliable = offered.along + offered.across >= MIN_EVENTFUL
+    progress = _progress(sigma, offered)
+    if sigma.max() > USELESS:
+        return Verdict("insufficient", min(progress, 0.2), reliable, _missing(sigma, offered))
+    if not fits_a_car(start):
+        return Verdict("insufficient", min(progress, 0.2), False, (reason("mismatch"),))
+    contradiction = bool(found.scatter.max() > 40.0)
+    if sigma.max() < CONVERGED and reliable and not contradiction:
+        return Verdict("ready", 1.0, True, ())
+    reasons = list(_missing(sigma, offered))
+    if contradiction:
+        reasons.insert(0, reason("contradiction"))
+    elif found.widening.max() > 2.0:
+        reasons.append(reason("rough"))
+    return Verdict("settling", min(progress, 0.99), reliable, tuple(reasons))
+
+
+def _progress(sigma: Floats, offered: Excitation) -> float:
+    """Information grows with time: the share of it that is there, of the worst axis."""
+    share = float(np.min(np.minimum((CONVERGED / sigma) ** 2, 1.0)))
+    return min(share, (offered.along + offered.across) / MIN_EVENTFUL, 1.0)
+
+
+def _missing(sigma: Floats, offered: Excitation) -> tuple[Reason, ...]:
+    codes: list[str] = []
+    if sigma[1] > CONVERGED or offered.along < MIN_EVENTFUL:
+        codes.append("few_events")
+    if (sigma[0] > CONVERGED or sigma[2] > CONVERGED) and offered.turned < np.pi:
+        codes.append("no_turns")
+    return tuple(reason(code) for code in codes or ["keep_driving"])
+

@@ -1,0 +1,177 @@
+"""Drive files: one recording of one box, as columns and as the numerics' records."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from pyarrow import csv
+
+from nav_core.records import Drive, Gnss, Inertial, Remark
+from server.errors import InvalidError
+from server.formats.columns import Columns, Floats, check_values
+from server.formats.csv_text import header_of
+from server.formats.csv_text import read as read_csv
+from server.formats.parquet import read as read_parquet
+from server.formats.tables import table_of
+from server.formats.thesis_line import is_thesis_line
+from server.formats.thesis_line import read as read_thesis
+
+_PARQUET_MAGIC = b"PAR1"
+_FORCE, _RATE, _FIELD = ("fx", "fy", "fz"), ("wx", "wy", "wz"), ("mx", "my", "mz")
+_FIX_COLUMNS = ("lat", "lon", "alt", "speed", "course", "fix")
+
+
+def to_drive(columns: Columns) -> Drive:
+    """Records of a recording: rows sorted stably, repeats dropped, both remarked; degrees become radians.
+
+    A row is an inertial sample where it has specific force, and a fix report where it has any of
+    lat, lon, alt, speed, course, fix.  Where `fix` is 0 the other values are not taken.
+    """
+    order = np.argsort(columns.values["t"], kind="stable")
+    remarks: list[Remark] = []
+    moved = int(np.count_nonzero(np.diff(columns.values["t"]) < 0.0))
+    if moved:
+        remarks.append(Remark("rows_out_of_order", f"Time went back {moved} times; the rows were sorted"))
+    sorted_values = {name: values[order] for name, values in columns.values.items()}
+    inertial = _inertial(sorted_values, remarks)
+    gnss = _gnss(sorted_values, remarks)
+    return Drive(inertial, gnss, tuple(remarks))
+
+
+def _kept(name: str, values: dict[str, Floats], rows: np.ndarray, remarks: list[Remark]) -> np.ndarray:
+    """Indices of the sampled rows without those that repeat the time before them."""
+    index = np.flatnonzero(rows)
+    t = values["t"][index]
+    again = np.zeros(index.size, dtype=np.bool_)
+    again[1:] = np.diff(t) == 0.0
+    if again.any():
+        remarks.append(Remark(f"{name}_rows_repeated", f"{int(again.sum())} {name} rows repeat a time; dropped"))
+    return index[~again]
+
+
+def _stacked(values: dict[str, Floats], names: tuple[str, ...], index: np.ndarray) -> Floats | None:
+    if names[0] not in values:
+        return None
+    triads = np.column_stack([values[name][index] for name in names])
+    return None if np.isnan(triads).all() else triads
+
+
+def _optional(values: dict[str, Floats], name: str, index: np.ndarray) -> Floats | None:
+    if name not in values:
+        return None
+    column = values[name][index]
+    return None if np.isnan(column).all() else column
+
+
+def _inertial(values: dict[str, Floats], remarks: list[Remark]) -> Inertial:
+    nothing = np.full(values["t"].size, np.nan)
+    sampled = ~np.isnan(values.get("fx", nothing))
+    others = np.zeros_like(sampled)
+    for name in ("wx", "mx"):
+        others |= ~np.isnan(values.get(name, nothing))
+    alone = int(np.count_nonzero(others & ~sampled))
+    if alone:
+        remarks.append(Remark("rows_without_force", f"{alone} rows have a rate or field but no force; not used"))
+    index = _kept("inertial", values, sampled, remarks)
+    force = _stacked(values, _FORCE, index)
+    return Inertial(
+        t=values["t"][index],
+        f=np.zeros((0, 3)) if force is None else force,
+        w=_stacked(values, _RATE, index),
+        m=_stacked(values, _FIELD, index),
+        temp=_optional(values, "temp", index),
+    )
+
+
+def _gnss(values: dict[str, Floats], remarks: list[Remark]) -> Gnss:
+    count = values["t"].size
+    reported = np.zeros(count, dtype=np.bool_)
+    for name in _FIX_COLUMNS:
+        if name in values:
+            reported |= ~np.isnan(values[name])
+    index = _kept("gps", values, reported, remarks)
+    nothing = np.full(index.size, np.nan)
+    given = {name: values[name][index] if name in values else nothing for name in _FIX_COLUMNS}
+    # A box that sends no fix flag says by sending a position or speed that it has one.
+    present = ~np.isnan(given["lat"]) | ~np.isnan(given["speed"])
+    fix = given["fix"] == 1.0 if "fix" in values else present
+
+    def taken(name: str) -> Floats:
+        return np.where(fix, given[name], np.nan)
+
+    return Gnss(
+        t=values["t"][index],
+        lat=np.radians(taken("lat")),
+        lon=np.radians(taken("lon")),
+        alt=taken("alt"),
+        speed=taken("speed"),
+        course=np.radians(np.mod(taken("course"), 360.0)),
+        fix=fix,
+        hdop=_optional(values, "hdop", index),
+        sats=_optional(values, "sats", index),
+        utc=_optional(values, "utc", index),
+    )
+
+
+def from_drive(drive: Drive) -> Columns:
+    """Columns of a recording, one row for every time at which anything was sampled."""
+    inertial, gnss = drive.inertial, drive.gnss
+    t = np.union1d(inertial.t, gnss.t)
+    at_inertial, at_gnss = np.searchsorted(t, inertial.t), np.searchsorted(t, gnss.t)
+    values: dict[str, Floats] = {"t": t}
+
+    def spread(name: str, index: np.ndarray, column: Floats) -> None:
+        values[name] = np.full(t.size, np.nan)
+        values[name][index] = column
+
+    for names, triads in ((_FORCE, inertial.f), (_RATE, inertial.w), (_FIELD, inertial.m)):
+        if triads is not None and inertial.t.size:
+            for axis, name in enumerate(names):
+                spread(name, at_inertial, triads[:, axis])
+    if inertial.temp is not None:
+        spread("temp", at_inertial, inertial.temp)
+    if gnss.t.size:
+        spread("lat", at_gnss, np.degrees(gnss.lat))
+        spread("lon", at_gnss, np.degrees(gnss.lon))
+        spread("alt", at_gnss, gnss.alt)
+        spread("speed", at_gnss, gnss.speed)
+        spread("course", at_gnss, np.mod(np.degrees(gnss.course), 360.0))
+        spread("fix", at_gnss, gnss.fix.astype(np.float64))
+        for name, column in (("hdop", gnss.hdop), ("sats", gnss.sats), ("utc", gnss.utc)):
+            if column is not None:
+                spread(name, at_gnss, column)
+    return Columns(values)
+
+
+def read_drive_columns(path: Path, *, thesis_course_clockwise: bool = False) -> Columns:
+    """Checked columns of a file, its format known by its content: Parquet, CSV or the thesis' text line."""
+    body = path.read_bytes()
+    if body.startswith(_PARQUET_MAGIC):
+        columns = read_parquet(body, max_decoded_bytes=None)
+    elif is_thesis_line(body):
+        columns = read_thesis(body, course_clockwise=thesis_course_clockwise)
+    elif "t" in header_of(body):
+        columns = read_csv(body, max_decoded_bytes=None)
+    else:
+        raise InvalidError(f"{path}: neither a drive file (CSV with a header, Parquet) nor the thesis' text line")
+    check_values(columns)
+    return columns
+
+
+def read_drive_file(path: Path, *, thesis_course_clockwise: bool = False) -> Drive:
+    """The recording in a file."""
+    return to_drive(read_drive_columns(path, thesis_course_clockwise=thesis_course_clockwise))
+
+
+def write_drive_csv(path: Path, columns: Columns) -> None:
+    """Write a drive file; numbers as short as they read back exactly, nothing where not sampled."""
+    csv.write_csv(table_of(columns), path, csv.WriteOptions(quoting_style="none", quoting_header="none"))
+
+
+def write_drive_file(path: Path, columns: Columns) -> None:
+    """Write a drive file: Parquet where the name ends so, else CSV."""
+    if path.suffix.lower() == ".parquet":
+        path.write_bytes(columns.to_parquet())
+    else:
+        write_drive_csv(path, columns)

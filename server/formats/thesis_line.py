@@ -1,0 +1,85 @@
+"""The thesis' text line (001 §5.1): eleven fields without a header, by blanks or commas.
+
+Sample number, time since the start in ms, longitude and latitude in degrees, altitude in m, speed
+in km/h, course in degrees (counter-clockwise from north), fix, and three specific forces in per cent
+of g.  The thesis' text gives the sampling periods in ms; they are s, the times in the file are ms.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from server.errors import InvalidError
+from server.formats.columns import Columns, Floats
+
+FIELDS = 11
+STANDARD_GRAVITY = 9.81
+"""What the thesis takes 100 % to be, m/s²."""
+_GPS_PERIOD_S = 0.25
+
+
+def is_thesis_line(body: bytes) -> bool:
+    """Whether a text's first line is eleven numbers."""
+    lines = body[:4096].lstrip().splitlines()
+    return bool(lines) and _numbers(lines[0].decode("ascii", "replace")) is not None
+
+
+def _numbers(line: str) -> list[float] | None:
+    fields = line.replace(",", " ").split()
+    if len(fields) != FIELDS:
+        return None
+    try:
+        return [float(field) for field in fields]
+    except ValueError:
+        return None
+
+
+def read(body: bytes, *, course_clockwise: bool = False) -> Columns:
+    """Columns of such a file; a GPS report that is held over the following rows is taken once."""
+    rows: list[list[float]] = []
+    for number, line in enumerate(body.decode("ascii", "replace").splitlines(), start=1):
+        if not line.strip():
+            continue
+        row = _numbers(line)
+        if row is None or not np.isfinite(row).all():
+            raise InvalidError(f"Line {number} is not {FIELDS} numbers", code="thesis_line", row=number)
+        rows.append(row)
+    _, time_ms, lon, lat, alt, speed_kmh, course, fix, *percent = np.array(rows, dtype=np.float64).T
+    clockwise = course if course_clockwise else np.mod(-course, 360.0)
+    reports = np.column_stack([lon, lat, alt, speed_kmh, course, fix])
+    fresh = ~_held(time_ms / 1000.0, reports)
+    with_fix = fresh & (fix == 1.0)
+    fx, fy, fz = (axis * (STANDARD_GRAVITY / 100.0) for axis in percent)
+
+    def taken(values: Floats) -> Floats:
+        return np.where(with_fix, values, np.nan)
+
+    return Columns(
+        {
+            "t": time_ms / 1000.0,
+            "fx": fx,
+            "fy": fy,
+            "fz": fz,
+            "lat": taken(lat),
+            "lon": taken(lon),
+            "alt": taken(alt),
+            "speed": taken(speed_kmh / 3.6),
+            "course": taken(clockwise),
+            "fix": np.where(fresh, fix, np.nan),
+        }
+    )
+
+
+def _held(t: Floats, reports: Floats) -> NDArray[np.bool_]:
+    """Rows that only repeat the GPS report before them because the next one is not due yet."""
+    held = np.zeros(t.size, dtype=np.bool_)
+    taken_at = -np.inf
+    changed = np.ones(t.size, dtype=np.bool_)
+    changed[1:] = (np.diff(reports, axis=0) != 0.0).any(axis=1)
+    for row in range(t.size):
+        if changed[row] or t[row] - taken_at >= _GPS_PERIOD_S:
+            taken_at = t[row]
+        else:
+            held[row] = True
+    return held

@@ -1,0 +1,57 @@
+"""How boxes sit in their vehicles, over HTTP."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from fastapi import APIRouter, Query
+
+from server.accounts.access import Administrator, Reader
+from server.devices.queries import device_of
+from server.edge import DatabaseOf, Now
+from server.installations import queries, service
+from server.installations.schemas import History, InstallationOut, ManualMounting, installation_out
+
+router = APIRouter(prefix="/api/v1/devices/{device_id}", tags=["installations"])
+
+
+@router.get("/installation")
+def read_current(device_id: str, caller: Reader, database: DatabaseOf) -> InstallationOut:
+    """The present mounting of a box; `insufficient` before any data."""
+    with database.reading() as session:
+        device_of(session, caller.organisation_id, device_id)
+        return installation_out(device_id, queries.current(session, device_id))
+
+
+@router.get("/installations")
+def read_history(
+    device_id: str,
+    caller: Reader,
+    database: DatabaseOf,
+    revisions: Annotated[bool, Query(description="with the estimates as they stood")] = False,
+) -> History:
+    """All installations of a box, the newest first."""
+    with database.reading() as session:
+        device_of(session, caller.organisation_id, device_id)
+        rows = queries.history(session, device_id)
+        found = queries.revisions(session, [row.id for row in rows]) if revisions else {}
+        return History(items=[installation_out(device_id, row, found.get(row.id)) for row in rows])
+
+
+@router.put("/installation")
+def set_manual(
+    device_id: str, wanted: ManualMounting, caller: Administrator, database: DatabaseOf, now: Now
+) -> InstallationOut:
+    """Set a measured mounting; it holds until the box is seen to move."""
+    with database.transaction() as session:
+        row = service.set_manual(
+            session,
+            caller.organisation_id,
+            device_id,
+            wanted.matrix(),
+            reason=wanted.reason,
+            sigma_deg=wanted.sigma_deg.model_dump() if wanted.sigma_deg else None,
+            since=wanted.since or now,
+            now=now,
+        )
+        return installation_out(device_id, row)

@@ -1,0 +1,70 @@
+"""Trips over HTTP."""
+
+from __future__ import annotations
+
+import datetime as dt
+from typing import Annotated
+
+from fastapi import APIRouter, Query
+from pydantic import AwareDatetime
+
+from server.accounts.access import Reader
+from server.edge import DatabaseOf
+from server.errors import InvalidError
+from server.trips import queries
+from server.trips.schemas import TrackOut, TripOut, TripPage, track_out, trip_out
+
+router = APIRouter(prefix="/api/v1/trips", tags=["trips"])
+
+
+@router.get("")
+def list_trips(
+    caller: Reader,
+    database: DatabaseOf,
+    device: Annotated[str | None, Query(max_length=32)] = None,
+    vehicle: Annotated[str | None, Query(max_length=32)] = None,
+    since: Annotated[AwareDatetime | None, Query(alias="from")] = None,
+    until: Annotated[AwareDatetime | None, Query(alias="to")] = None,
+    before: Annotated[str | None, Query(max_length=100)] = None,
+    limit: Annotated[int, Query(ge=1, le=500)] = 100,
+) -> TripPage:
+    """Trips, the newest first, a page at a time."""
+    with database.reading() as session:
+        rows = queries.trips(
+            session,
+            caller.organisation_id,
+            device_id=device,
+            vehicle_id=vehicle,
+            since=since,
+            until=until,
+            before=None if before is None else _place(before),
+            limit=limit + 1,
+        )
+        last = rows[limit - 1] if len(rows) > limit else None
+        return TripPage(
+            items=[trip_out(row) for row in rows[:limit]],
+            next=None if last is None else f"{last.began_at.isoformat()}~{last.id}",
+        )
+
+
+@router.get("/{trip_id}")
+def read(trip_id: str, caller: Reader, database: DatabaseOf) -> TripOut:
+    """One trip."""
+    with database.reading() as session:
+        return trip_out(queries.trip_of(session, caller.organisation_id, trip_id))
+
+
+@router.get("/{trip_id}/track")
+def read_track(trip_id: str, caller: Reader, database: DatabaseOf) -> TrackOut:
+    """The 1 Hz track as GeoJSON; standing time has its first point only."""
+    with database.reading() as session:
+        trip = queries.trip_of(session, caller.organisation_id, trip_id)
+        return track_out(trip.id, queries.track(session, trip.id))
+
+
+def _place(before: str) -> tuple[dt.datetime, str]:
+    moment, _, trip_id = before.partition("~")
+    try:
+        return dt.datetime.fromisoformat(moment).astimezone(dt.UTC), trip_id
+    except ValueError:
+        raise InvalidError("`before` is not what a page gave as `next`", code="before") from None
