@@ -45,28 +45,43 @@ const PACKAGES = [
 /** Two decimals are about a kilometre, finer than the 1:50 000 000 source is drawn. */
 const round = (/** @type {number} */ degrees) => Math.round(degrees * 100) / 100;
 
-/** Rounded points of a line without the repeats that rounding makes. */
+/** Rounded points of a line without the repeats that rounding makes, longitudes running on across the date line. */
 function thin(/** @type {number[][]} */ line) {
-  const points = line.map(([lon, lat]) => [round(lon), round(lat)]);
+  let turns = 0;
+  const points = line.map(([lon, lat], i) => {
+    if (i > 0) turns -= Math.round((lon - line[i - 1][0]) / 360);
+    return [round(lon + 360 * turns), round(lat)];
+  });
   return points.filter((p, i) => i === 0 || p[0] !== points[i - 1][0] || p[1] !== points[i - 1][1]);
 }
 
-/** Polygons of a geometry, thinned; rings that collapse are left out. */
+/** A thinned ring; one that goes around the pole is closed through it. */
+function ring(/** @type {number[][]} */ line) {
+  const points = thin(line);
+  const [first, last] = [points[0], points[points.length - 1]];
+  return first[0] === last[0] ? points : [...points, [last[0], -90], [first[0], -90], first];
+}
+
+/** Polygons of a geometry, thinned, outer rings counter-clockwise as GeoJSON has them; rings that collapse are left out. */
 function polygons(geometry) {
   const parts = geometry.type === "MultiPolygon" ? geometry.coordinates : [geometry.coordinates];
-  return parts.map((rings) => rings.map(thin).filter((ring) => ring.length >= 4)).filter((rings) => rings.length > 0);
+  return parts
+    .map((rings) => rings.map(ring).filter((points) => points.length >= 4 && Math.abs(centroid(points).area) > 1e-6))
+    .filter((rings) => rings.length > 0)
+    .map((rings) => rings.map((points, i) => (centroid(points).area > 0 === (i === 0) ? points : points.toReversed())));
 }
 
 /** Signed area (degrees squared) and centroid of a ring. */
-function centroid(ring) {
+function centroid(points) {
   let area = 0, lon = 0, lat = 0;
-  for (let i = 0; i + 1 < ring.length; i++) {
-    const cross = ring[i][0] * ring[i + 1][1] - ring[i + 1][0] * ring[i][1];
+  for (let i = 0; i + 1 < points.length; i++) {
+    const [[x1, y1], [x2, y2]] = [points[i], points[i + 1]];
+    const cross = x1 * y2 - x2 * y1;
     area += cross / 2;
-    lon += ((ring[i][0] + ring[i + 1][0]) * cross) / 6;
-    lat += ((ring[i][1] + ring[i + 1][1]) * cross) / 6;
+    lon += ((x1 + x2) * cross) / 6;
+    lat += ((y1 + y2) * cross) / 6;
   }
-  return { area: Math.abs(area), point: [round(lon / area), round(lat / area)] };
+  return { area, point: [round(lon / area), round(lat / area)] };
 }
 
 /** Land, borders and country names as GeoJSON. */
@@ -86,13 +101,14 @@ function worldOutline() {
     };
   });
   const collection = (features) => ({ type: "FeatureCollection", features });
-  const single = (geometry) => collection([{ type: "Feature", properties: {}, geometry }]);
+  const plain = (geometry) => ({ type: "Feature", properties: {}, geometry });
+  const lines = borders.coordinates.map(thin).filter((line) => line.length > 1);
   return {
-    "land.geojson": single({ type: "MultiPolygon", coordinates: shapes.flatMap((s) => polygons(s.geometry)) }),
-    "borders.geojson": single({
-      type: "MultiLineString",
-      coordinates: borders.coordinates.map(thin).filter((line) => line.length > 1),
-    }),
+    // One feature a polygon: a tile's fill is triangulated feature by feature, and the whole world in one goes wrong.
+    "land.geojson": collection(
+      shapes.flatMap((s) => polygons(s.geometry)).map((coordinates) => plain({ type: "Polygon", coordinates })),
+    ),
+    "borders.geojson": collection([plain({ type: "MultiLineString", coordinates: lines })]),
     "names.geojson": collection(names),
   };
 }

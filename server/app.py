@@ -5,8 +5,7 @@ from __future__ import annotations
 import datetime as dt
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
-from importlib import import_module, metadata
-from importlib.util import find_spec
+from importlib import metadata
 
 from anyio import CapacityLimiter
 from fastapi import FastAPI
@@ -22,14 +21,20 @@ from server.devices import routes as devices
 from server.edge import Clock
 from server.headers import SecurityHeaders
 from server.ingest import routes as ingest
+from server.installations import routes as installations
 from server.limits import BodyLimit, TokenBuckets
+from server.live import routes as live
 from server.migrations import is_current
+from server.pages import routes as pages
 from server.pages import templating
 from server.resources import folder
 from server.settings import Settings
+from server.signals import routes as signals
 from server.store import open_store
 from server.telemetry import RequestTelemetry, Telemetry, log
+from server.trips import routes as trips
 from server.vehicles import routes as vehicles
+from server.view3d import proxy, tickets
 
 MAX_JSON_BYTES = 1024 * 1024
 # Decoding is work for a core and holds a batch in memory several times over.
@@ -90,12 +95,21 @@ def create_app(settings: Settings, *, clock: Clock = utc_now) -> FastAPI:
 
     problems.install(app)
     templating.install(app)
-    for router in (health.router, accounts.router, devices.router, vehicles.router, ingest.router):
-        app.include_router(router)
-    for name in ("installations", "trips", "live", "signals", "view3d.tickets", "view3d.proxy", "pages"):
-        module = f"server.{name}" if "." in name else f"server.{name}.routes"
-        if find_spec(module) is not None:
-            app.include_router(import_module(module).router)
+    for part in (
+        health,
+        accounts,
+        devices,
+        vehicles,
+        ingest,
+        installations,
+        trips,
+        live,
+        signals,
+        tickets,
+        proxy,
+        pages,
+    ):
+        app.include_router(part.router)
     app.mount("/static/vendor", StaticFiles(directory=folder("web") / "vendor", check_dir=False))
     app.mount("/static", StaticFiles(directory=folder("web") / "static", check_dir=False))
 

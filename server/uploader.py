@@ -13,6 +13,7 @@ import numpy as np
 import orjson
 
 from server.formats.columns import Columns
+from server.formats.tables import write_arrow, write_csv
 
 Encoding = Literal["parquet", "json", "csv", "arrow"]
 
@@ -38,9 +39,9 @@ class Acknowledgement:
 
 
 def batches(columns: Columns, seconds: float) -> Iterator[Columns]:
-    """Cut a recording at multiples of `seconds` of its own clock; empty stretches give nothing."""
+    """Cut a recording every `seconds` from its first row on; empty stretches give nothing."""
     t = columns.values["t"]
-    number = np.floor(t / seconds).astype(np.int64)
+    number = np.floor((t - t[0]) / seconds).astype(np.int64)
     edges = np.flatnonzero(np.diff(number)) + 1
     for rows in np.split(np.arange(t.size), edges):
         if rows.size:
@@ -52,9 +53,9 @@ def encode(columns: Columns, encoding: Encoding) -> tuple[bytes, dict[str, str]]
     if encoding == "parquet":
         return columns.to_parquet(), {"Content-Type": "application/vnd.apache.parquet"}
     if encoding == "arrow":
-        return columns.to_arrow_stream(), {"Content-Type": "application/vnd.apache.arrow.stream"}
+        return write_arrow(columns), {"Content-Type": "application/vnd.apache.arrow.stream"}
     if encoding == "csv":
-        body, media_type = columns.to_csv().encode(), "text/csv"
+        body, media_type = write_csv(columns), "text/csv"
     else:
         document = {
             "columns": {

@@ -214,8 +214,8 @@ def _slow(elapsed: Floats, time: float) -> tuple[Floats, Floats]:
 def gps_rate(t: Floats, values: Floats, reach: float = 1.0) -> Floats:
     """Rate of change of what the receiver says, over `reach` seconds either side.
 
-    How a measurement shifts with its lag must not be taken from the accelerometer: that one feels
-    slope and bank as well, and a highway has more of those than of acceleration.
+    The derivatives to lags and suspension gains must not be taken from the accelerometer: that one
+    feels slope and bank as well, and a highway has more of those than of acceleration.
     """
     known = np.isfinite(values)
     if known.sum() < 2:
@@ -336,7 +336,8 @@ def pitch_plane(record: Record, R_va: Floats, lag: float, noise: Noise) -> Chann
     U[:, 0, 0] = keep * total[:, 0] + noise.lever[0] * total[:, 5]
     U[:, 0, 1 + 1], U[:, 0, 1 + 2] = keep * total[:, 2], -keep * total[:, 1]
     U[:, 0, 1 + 3] = -steps.dt
-    U[:, 0, 1 + PITCH_GAIN] = -total[:, 0]
+    acceleration = gps_rate(record.fixes.t, record.fixes.speed)
+    U[:, 0, 1 + PITCH_GAIN] = -acceleration * steps.dt
     U[:, 0, 1 + LEVER_X] = total[:, 5]
     U[:, 1, 0] = (
         total[:, 2] + GRAVITY * steps.dt - noise.pitch_gain[0] * total[:, 3] - noise.roll_gain[0] * total[:, 4]
@@ -348,7 +349,7 @@ def pitch_plane(record: Record, R_va: Floats, lag: float, noise: Noise) -> Chann
     fixes = record.fixes
     Y = np.zeros((steps.when.size, 3, c))
     Y[:, 0, 0], Y[:, 1, 0] = fixes.speed, np.nan_to_num(fixes.alt)
-    Y[:, 0, 1 + SPEED_LAG] = gps_rate(fixes.t, fixes.speed)
+    Y[:, 0, 1 + SPEED_LAG] = acceleration
     Y[:, 0, 1 + ANTENNA_Y] = at(record, steps.when, frame.w)
     x0 = np.zeros(8)
     x0[V] = fixes.speed[0]
@@ -390,14 +391,15 @@ def yaw_plane(record: Record, R_va: Floats, lags: tuple[float, float], noise: No
     U[:, 0, 0] = keep * total[:, 1] - noise.lever[0] * spin
     U[:, 0, 1 + 0], U[:, 0, 1 + 2] = -keep * total[:, 2], keep * total[:, 0]
     U[:, 0, 1 + 4] = -total[:, 3]
-    U[:, 0, 1 + ROLL_GAIN] = -total[:, 1]
+    turn_rate = gps_rate(record.fixes.t, unrolled(record.fixes.course))
+    U[:, 0, 1 + ROLL_GAIN] = -turn_rate * steps.dt
     U[:, 0, 1 + LEVER_X] = -spin
     lost = steps.broken | np.isnan(record.fixes.course) | (elapsed > 3.0)
     Phi, Q, H, r = yaw_system(record.fixes, steps, noise, total, lost)
     Y = np.zeros((steps.when.size, 1, c))
     # Ahead of the point that does not slip, the track points into the turn.
     Y[:, 0, 0] = np.nan_to_num(record.fixes.course) - noise.lever[0] * w * inverse_now
-    Y[:, 0, 1 + COURSE_LAG] = gps_rate(record.fixes.t, unrolled(record.fixes.course))
+    Y[:, 0, 1 + COURSE_LAG] = turn_rate
     Y[:, 0, 1 + LEVER_X] = Y[:, 0, 1 + ANTENNA_X] = -w * inverse_now
     P0 = np.diag([100.0, noise.bank**2, noise.across_slow**2])
     columns = np.concatenate([[0], 1 + YAW_UNKNOWNS])

@@ -105,6 +105,11 @@ def gravity_wander(record: Record, span: float = 20.0) -> float:
     return float(np.percentile(angles, 80.0))
 
 
+def loosely_held(changes: int, record: Record) -> bool:
+    """Whether a box was moved so often that it is not fixed at all: thrice, and every few minutes."""
+    return changes >= 3 and changes * 300.0 > record.fixes.t[-1] - record.fixes.t[0]
+
+
 @dataclass(frozen=True, slots=True)
 class Verdict:
     """Status, progress and reasons."""
@@ -121,8 +126,6 @@ def before_fit(record: Record, offered: Excitation) -> Verdict | None:
         return Verdict("insufficient", 0.0, False, (reason("no_fix"),))
     if record.t.size < 20:
         return Verdict("insufficient", 0.0, False, (reason("no_accelerometer"),))
-    if gravity_wander(record) > WANDER:
-        return Verdict("not_fixed", 0.0, False, (reason("loose"),))
     share = min(offered.moving / MIN_MOVING, 1.0)
     if share < 1.0:
         return Verdict("insufficient", 0.1 * share, False, (reason("not_driven"),))

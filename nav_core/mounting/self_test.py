@@ -1,12 +1,17 @@
-"""The thesis' self-test: forty seconds of specific force, integrated, against GPS speed (001 §5.4)."""
+"""The thesis' self-test: forty seconds of specific force, integrated, against GPS speed (001 §5.4).
+
+Slope-compensated.  It is nearly blind to yaw; it is kept as a check that needs no model to read.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
-from nav_core.mounting.model import GRAVITY, Record, at, integrate, steps_of
+from nav_core.mounting.model import Record, pitch_plane
+from nav_core.mounting.refine import Fit
+from nav_core.mounting.whitening import whiten
 from nav_core.records import SelfTest
-from nav_core.typing import Floats
+from nav_core.typing import Integers
 
 DURATION = 40.0
 LIMIT = 2.5
@@ -15,45 +20,72 @@ LIMIT = 2.5
 _MIN_SPEED = 3.0
 
 
-def self_test(record: Record, R_va: Floats, bias_x: float, lag: float) -> SelfTest | None:
+RECENT = 600.0
+"""How far back the test may reach, s."""
+
+
+def _stretch(record: Record) -> tuple[int, int] | None:
+    """First and last fix of the `DURATION` seconds of unbroken recent driving that lead farthest.
+
+    The same error of height means the less slope the longer the way.
+    """
+    t, speed = record.fixes.t, record.fixes.speed
+    gaps = np.concatenate([[0], np.cumsum(np.diff(t) > 3.0)])
+    slow = np.concatenate([[0], np.cumsum(speed < _MIN_SPEED)])
+    begin: Integers = np.searchsorted(t, t - DURATION, side="right") - 1
+    begin = np.maximum(begin, 0)
+    end = np.arange(t.size)
+    usable = (t - t[begin] >= DURATION) & (gaps[end] == gaps[begin]) & (slow[end + 1] == slow[begin])
+    usable &= t > t[-1] - RECENT
+    if not usable.any():
+        return None
+    way = np.cumsum(speed * np.diff(t, prepend=t[0]))
+    last = int(np.argmax(np.where(usable, way - way[begin], -1.0)))
+    return int(begin[last]), last
+
+
+def self_test(record: Record, fit: Fit) -> SelfTest | None:
     """Integrate longitudinal specific force over the last 40 s of driving and compare with GPS speed.
 
     Parameters
     ----------
     record : Record
-    R_va : ndarray, shape (3, 3)
-    bias_x : float
-        Estimated bias along V x, m/s².
-    lag : float
-        Of GPS speed, s.
+    fit : Fit
+        The mounting under test, with its biases and noise levels.
 
     Returns
     -------
     SelfTest or None
-        None when there were no 40 s with unbroken data at driving speed.
+        None when there were no 40 s of driving in one go, or the slope is not known well enough to
+        tell `LIMIT`.
 
     Notes
     -----
-    The slope is taken off with the rise of the GPS height over the 40 s: without that, half a
-    degree of road fails a perfect mounting.
+    Slope-compensated: the filter of the pitch plane runs on with height and climb while speed is
+    withheld.  Without that, half a degree of road fails a perfect mounting.  An offset of the last
+    speed is carried as an unknown; its column gives the innovation with its sign.
     """
-    steps = steps_of(record, lag)
-    fixes = record.fixes
-    velocity = at(record, steps.when, integrate(record, record.f @ R_va[0] - bias_x))
-    broken = np.cumsum(steps.broken)
-    fast = np.cumsum(fixes.speed < _MIN_SPEED)
-    begin = np.searchsorted(steps.when, steps.when - DURATION)
-    end = np.arange(steps.when.size)
-    whole = steps.when - steps.when[begin] > 0.95 * DURATION
-    usable = whole & (broken[end] == broken[begin]) & (fast[end] == fast[begin])
-    usable &= np.isfinite(fixes.alt[begin]) & np.isfinite(fixes.alt)
-    if not usable.any():
+    stretch = _stretch(record)
+    if stretch is None:
         return None
-    last = int(np.flatnonzero(usable)[-1])
-    first = int(begin[last])
-    duration = float(steps.when[last] - steps.when[first])
-    rise = fixes.alt[last] - fixes.alt[first]
-    distance = float(steps.distance[first + 1 : last + 1].sum())
-    predicted = velocity[last] - velocity[first] - GRAVITY * rise / max(distance, 1.0) * duration
-    drift = float(predicted - (fixes.speed[last] - fixes.speed[first]))
+    first, last = stretch
+    plane = pitch_plane(record, fit.R_va, fit.speed_lag, fit.noise)
+    p = fit.p[plane.unknowns]
+    U = np.zeros((last + 1, plane.U.shape[1], 2))
+    Y = np.zeros((last + 1, plane.Y.shape[1], 2))
+    U[:, :, 0] = plane.U[: last + 1, :, 0] + plane.U[: last + 1, :, 1:] @ p
+    Y[:, :, 0] = plane.Y[: last + 1, :, 0] + plane.Y[: last + 1, :, 1:] @ p
+    Y[last, 0, 1] = 1.0
+    r = plane.r[: last + 1].copy()
+    r[first + 1 : last, 0] = np.nan
+    block = np.zeros(last + 1, dtype=np.int64)
+    block[last] = 1
+    withheld = plane._replace(
+        Phi=plane.Phi[: last + 1], Q=plane.Q[: last + 1], U=U, H=plane.H[: last + 1], Y=Y, r=r, unknowns=np.arange(1)
+    )
+    gram = whiten(withheld, block, 2, np.zeros(1)).gram[1, 0]
+    if gram[1, 1] < (2.0 / LIMIT) ** 2:
+        return None
+    drift = -float(gram[0, 1] / gram[1, 1])
+    duration = float(record.fixes.t[last] - record.fixes.t[first])
     return SelfTest(passed=abs(drift) <= LIMIT, drift=drift, duration=duration)

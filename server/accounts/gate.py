@@ -25,6 +25,7 @@ from server.database import Database
 from server.errors import ForbiddenError, ProblemError, UnauthenticatedError
 from server.problems import is_api, problem_response
 from server.settings import Settings
+from server.view3d import permission
 
 _OPEN = frozenset({"/healthz", "/readyz", "/metrics", "/openapi.json", "/docs"})
 _OPEN_BELOW = ("/static/", "/api/v1/claim")
@@ -91,7 +92,8 @@ def _identify(connection: HTTPConnection) -> tuple[Caller | None, bool]:
     view = _VIEW.fullmatch(connection.url.path)
     if view is not None:
         with database.reading() as session:
-            return service.ticket_of(session, view["ticket"], view["device"], now=now), False
+            opens = permission.opens(session, view["ticket"], view["device"], now=now)
+        return (Caller("", "ticket", device_id=view["device"]) if opens else None), False
     return None, False
 
 

@@ -11,7 +11,7 @@ from sqlalchemy.orm import Session
 from server.accounts.access import Caller
 from server.accounts.secrets import hash_of, new_code, new_token
 from server.errors import UnauthenticatedError
-from server.models import Device, Organisation, SignInCode, ViewTicket, WebSession
+from server.models import Device, Organisation, SignInCode, WebSession
 
 SESSION_LIFE = dt.timedelta(hours=12)
 CODE_LIFE = dt.timedelta(hours=24)
@@ -118,11 +118,3 @@ def device_of(session: Session, token: str) -> Caller | None:
         )
     ).first()
     return None if row is None else Caller(row.organisation_id, "device", device_id=row.id)
-
-
-def ticket_of(session: Session, ticket: str, device_id: str, *, now: dt.datetime) -> Caller | None:
-    """The view that a ticket opens."""
-    row = session.get(ViewTicket, hash_of(ticket))
-    if row is None or row.device_id != device_id or row.expires_at <= now:
-        return None
-    return Caller(row.organisation_id, "ticket", device_id=device_id)

@@ -29,6 +29,9 @@ def main(argv: list[str] | None = None) -> int:
         return 130
     except BrokenPipeError:
         return 0
+    except ModuleNotFoundError as error:
+        print(f"scatola: {error.name} is not installed; pip install 'scatola[server]' brings it", file=sys.stderr)
+        return 1
     except (ValueError, OSError) as error:
         # Bad data is the caller's to mend: one line, no traceback.
         print(f"scatola: {error}", file=sys.stderr)

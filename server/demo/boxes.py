@@ -201,7 +201,7 @@ def next_leg(box: Box, standpoint: Standpoint, *, seed: int) -> Leg:
 
 def after(leg: Leg, t: float) -> Standpoint:
     """Where the box stands when it is switched off at box time `t` of a drive, ready for the next one."""
-    gnss, utc = leg.drive.gnss, leg.began_utc + t
+    gnss, utc = leg.drive.gnss, leg.began_utc + max(t, 0.0)
     known = np.flatnonzero(gnss.fix & np.isfinite(gnss.course) & (gnss.t <= max(t, gnss.t[0])))
     last = known[-1]
     R_va = next(R_va for since, R_va in reversed(leg.mountings) if since <= utc)

@@ -11,6 +11,7 @@ from server.accounts.secrets import hash_of, new_token
 from server.devices.queries import device_of
 from server.devices.schemas import DeviceIn, DeviceToken, ReferenceMountings
 from server.errors import ConflictError, InvalidError
+from server.installations.service import end_for_swap
 from server.live.changes import announce
 from server.models import Device, Organisation, Vehicle, new_id
 from server.vehicles.service import assign
@@ -112,7 +113,5 @@ def put_into_vehicle(
     if moment > now:
         raise InvalidError("`at` is in the future")
     if assign(session, device, vehicle_id, at=moment):
-        from server.installations.service import end_for_swap
-
         end_for_swap(session, device, moment)
         _announce(session, device, now)

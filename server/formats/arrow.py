@@ -40,7 +40,7 @@ def read(body: bytes, *, max_decoded_bytes: int) -> Columns:
             batches.append(batch)
         table = pa.Table.from_batches(batches, schema)
         return Columns({name: column_of(name, table.column(name)) for name in schema.names})
-    except (pa.ArrowException, OSError, StopIteration, EOFError) as error:
+    except (pa.ArrowException, OSError, ValueError, StopIteration, EOFError) as error:
         raise InvalidError(f"Not a readable Arrow stream: {str(error)[:200]}", code="arrow") from error
 
 

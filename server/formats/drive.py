@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from pyarrow import csv
 
 from nav_core.records import Drive, Gnss, Inertial, Remark
 from server.errors import InvalidError
@@ -13,7 +12,7 @@ from server.formats.columns import Columns, Floats, check_values
 from server.formats.csv_text import header_of
 from server.formats.csv_text import read as read_csv
 from server.formats.parquet import read as read_parquet
-from server.formats.tables import table_of
+from server.formats.tables import write_csv
 from server.formats.thesis_line import is_thesis_line
 from server.formats.thesis_line import read as read_thesis
 
@@ -165,8 +164,8 @@ def read_drive_file(path: Path, *, thesis_course_clockwise: bool = False) -> Dri
 
 
 def write_drive_csv(path: Path, columns: Columns) -> None:
-    """Write a drive file; numbers as short as they read back exactly, nothing where not sampled."""
-    csv.write_csv(table_of(columns), path, csv.WriteOptions(quoting_style="none", quoting_header="none"))
+    """Write a drive file as text."""
+    path.write_bytes(write_csv(columns))
 
 
 def write_drive_file(path: Path, columns: Columns) -> None:

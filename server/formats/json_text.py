@@ -19,7 +19,24 @@ def read(body: bytes, *, max_decoded_bytes: int) -> Columns:
     """Columns of a JSON document."""
     # Every value but a list's first follows a comma: so many objects the parser will make.
     check_size(body.count(b","), 1, max_decoded_bytes)
-    document = _parse(body)
+    try:
+        document = orjson.loads(body)
+    except orjson.JSONDecodeError as error:
+        _locate_not_finite(body)
+        raise InvalidError(f"Not JSON: {error}", code="json") from None
+    return _columns(document)
+
+
+def _locate_not_finite(body: bytes) -> None:
+    """Raise with the place of a NaN or infinity: many writers emit them as words that JSON does not have."""
+    try:
+        document = json.loads(body.decode())
+    except (ValueError, RecursionError):
+        return
+    _columns(document)
+
+
+def _columns(document: object) -> Columns:
     if not isinstance(document, dict) or set(cast("dict[str, Any]", document)) != {"columns"}:
         raise InvalidError('Expected an object with the one member "columns"', code="json")
     columns = cast("dict[str, Any]", document)["columns"]
@@ -28,19 +45,6 @@ def read(body: bytes, *, max_decoded_bytes: int) -> Columns:
     named = cast("dict[str, Any]", columns)
     check_names(named)
     return Columns({name: _column(name, named[name]) for name in NAMES if name in named})
-
-
-def _parse(body: bytes) -> object:
-    try:
-        return orjson.loads(body)
-    except orjson.JSONDecodeError as error:
-        if b"NaN" in body or b"Infinity" in body:
-            # Many writers emit these words though JSON has none; a lenient parser lets us say where.
-            try:
-                return json.loads(body)
-            except (ValueError, RecursionError):
-                pass
-        raise InvalidError(f"Not JSON: {error}", code="json") from None
 
 
 def _column(name: str, values: object) -> Floats:

@@ -1,4 +1,4 @@
-"""Arrow columns as float64."""
+"""Between Arrow's columns and ours, by their buffers: Arrow's own ways to numpy load pandas where it is installed."""
 
 from __future__ import annotations
 
@@ -6,13 +6,15 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
+from pyarrow import csv, ipc
 
 from server.errors import InvalidError
 from server.formats.columns import Columns, Floats, not_finite
 
 # pyarrow ships no types.
 DataType = Any
-Column = Any
+Array = Any
+ChunkedArray = Any
 Table = Any
 
 
@@ -23,21 +25,54 @@ def is_numeric(kind: DataType) -> bool:
     )
 
 
-def column_of(name: str, column: Column) -> Floats:
+def column_of(name: str, column: ChunkedArray) -> Floats:
     """Values with NaN for null; a NaN or infinity that was sent is refused."""
     if not is_numeric(column.type):
         raise InvalidError(f"Column {name!r} holds {str(column.type)[:40]}, not numbers", code="columns", column=name)
     numbers = column.cast(pa.uint8()) if pa.types.is_boolean(column.type) else column
-    values: Floats = np.asarray(numbers.cast(pa.float64(), safe=False).to_numpy(), dtype=np.float64)
-    bad = ~np.isfinite(values)
+    chunks = [_values(chunk) for chunk in numbers.cast(pa.float64(), safe=False).chunks]
+    values = np.concatenate([part for part, _ in chunks]) if chunks else np.zeros(0)
+    valid = np.concatenate([part for _, part in chunks]) if chunks else np.zeros(0, dtype=np.bool_)
+    bad = ~np.isfinite(values) & valid
     if bad.any():
-        bad &= np.asarray(column.is_valid().to_numpy(), dtype=np.bool_)
-        if bad.any():
-            raise not_finite(name, int(np.argmax(bad)))
-    return values
+        raise not_finite(name, int(np.argmax(bad)))
+    return np.where(valid, values, np.nan)
+
+
+def _values(chunk: Array) -> tuple[Floats, np.ndarray[Any, np.dtype[np.bool_]]]:
+    """Values of a float64 array, whatever stands at nulls, and where it is not null."""
+    count, offset = len(chunk), chunk.offset
+    bitmap, data = chunk.buffers()
+    if data is None or count == 0:
+        return np.full(count, np.nan), np.zeros(count, dtype=np.bool_)
+    values = np.frombuffer(data, dtype=np.float64, count=count, offset=offset * 8)
+    if bitmap is None:
+        return values, np.ones(count, dtype=np.bool_)
+    bits = np.unpackbits(np.frombuffer(bitmap, dtype=np.uint8), bitorder="little")
+    return values, bits[offset : offset + count].astype(np.bool_)
 
 
 def table_of(columns: Columns) -> Table:
     """An Arrow table with null where not sampled."""
-    arrays = [pa.array(values, from_pandas=True) for values in columns.values.values()]
+    arrays: list[Array] = []
+    for values in columns.values.values():
+        missing = np.isnan(values)
+        bitmap = pa.py_buffer(np.packbits(~missing, bitorder="little")) if missing.any() else None
+        arrays.append(pa.Array.from_buffers(pa.float64(), values.size, [bitmap, pa.py_buffer(values)]))
     return pa.Table.from_arrays(arrays, names=list(columns.values))
+
+
+def write_arrow(columns: Columns) -> bytes:
+    """Arrow's stream format, zstd inside."""
+    sink = pa.BufferOutputStream()
+    table = table_of(columns)
+    with ipc.new_stream(sink, table.schema, options=ipc.IpcWriteOptions(compression="zstd")) as writer:
+        writer.write_table(table)
+    return sink.getvalue().to_pybytes()
+
+
+def write_csv(columns: Columns) -> bytes:
+    """Text of a drive file: numbers as short as they read back exactly, nothing where not sampled."""
+    sink = pa.BufferOutputStream()
+    csv.write_csv(table_of(columns), sink, csv.WriteOptions(quoting_style="none", quoting_header="none"))
+    return sink.getvalue().to_pybytes()

@@ -14,7 +14,6 @@ from collections.abc import Callable
 import dramatiq
 import structlog
 from dramatiq.brokers.rabbitmq import RabbitmqBroker
-from dramatiq.errors import ConnectionError as BrokerConnectionError
 from dramatiq.middleware import Retries, ShutdownNotifications
 
 from server.database import Database
@@ -94,8 +93,9 @@ class Sender:
             try:
                 broker.enqueue(message_for(device_id, self._queue))
                 pause = RECONNECT_S[0]
-            except BrokerConnectionError as error:
-                log.warning("broker cannot be reached", error=str(error), again_in_s=pause)
+            except Exception:
+                # Whatever the broker does, an upload must not feel it.
+                log.warning("broker cannot be reached", again_in_s=pause, exc_info=True)
                 with self._changed:
                     self._waiting[device_id] = None
                     self._changed.wait_for(lambda: self._closed, timeout=pause)
@@ -116,7 +116,7 @@ def run_consumer(settings: Settings, *, stop: threading.Event, clock: Clock, que
         while bring_up_to_date(database, store, device_id, clock=clock).more and not stop.is_set():
             pass
 
-    dramatiq.actor(work, actor_name=ACTOR, queue_name=queue, broker=broker)
+    dramatiq.Actor(work, broker=broker, actor_name=ACTOR, queue_name=queue, priority=0, options={})
     # One thread: the work is computation, a host's further cores take further processes.
     worker = dramatiq.Worker(broker, queues={queue}, worker_threads=1)
     worker.start()

@@ -10,7 +10,8 @@ from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
 from server.errors import NotFoundError
-from server.models import Device, DeviceState, Installation, Trip, Vehicle
+from server.installations.blank import blank_result
+from server.models import Change, Device, DeviceState, Installation, Trip, Vehicle
 from server.pages.words import (
     LIVE_WITHIN,
     MOVED_IS_NEWS_FOR,
@@ -19,6 +20,7 @@ from server.pages.words import (
     angle_to_reference,
     standing,
 )
+from server.trips.queries import trips
 
 TRIPS_SHOWN = 50
 INSTALLATIONS_SHOWN = 50
@@ -55,7 +57,7 @@ class Box:
     @property
     def reasons(self) -> Sequence[str]:
         """What is still missing, as sentences for the driver."""
-        return self.installation.result.get("reasons", []) if self.installation else []
+        return (self.installation.result if self.installation else blank_result())["reasons"]
 
 
 @dataclass(frozen=True)
@@ -105,6 +107,11 @@ class VehiclePage:
     """Boxes in the vehicle; the page shows the one heard last."""
 
 
+def last_change(session: Session, organisation_id: str) -> int:
+    """Id of the newest change; what is read after this is at least as new."""
+    return session.scalar(select(func.max(Change.id)).where(Change.organisation_id == organisation_id)) or 0
+
+
 def fleet(session: Session, organisation_id: str, *, now: dt.datetime) -> Fleet:
     """All boxes and vehicles of an organisation, by name."""
     boxes = _boxes(session, organisation_id, now=now)
@@ -120,7 +127,7 @@ def vehicle_page(session: Session, organisation_id: str, vehicle_id: str, *, now
         raise NotFoundError(f"There is no vehicle {vehicle_id}")
     boxes = _boxes(session, organisation_id, now=now, vehicle_id=vehicle_id)
     box = max(boxes, key=lambda box: box.device.last_seen_at or box.device.created_at, default=None)
-    return VehiclePage(vehicle, box, _history(session, vehicle, box), len(boxes))
+    return VehiclePage(vehicle, box, _history(session, organisation_id, vehicle, box), len(boxes))
 
 
 def device_page(session: Session, organisation_id: str, device_id: str, *, now: dt.datetime) -> VehiclePage:
@@ -128,24 +135,27 @@ def device_page(session: Session, organisation_id: str, device_id: str, *, now: 
     boxes = _boxes(session, organisation_id, now=now, device_id=device_id)
     if not boxes:
         raise NotFoundError(f"There is no box {device_id}")
-    return VehiclePage(boxes[0].vehicle, boxes[0], _history(session, None, boxes[0]), 1)
+    return VehiclePage(boxes[0].vehicle, boxes[0], _history(session, organisation_id, None, boxes[0]), 1)
 
 
-def _history(session: Session, vehicle: Vehicle | None, box: Box | None) -> History:
+def _history(session: Session, organisation_id: str, vehicle: Vehicle | None, box: Box | None) -> History:
     """Of the vehicle, whichever box it carried; of the box, wherever it was, when no vehicle is given."""
-    if vehicle is not None:
-        installed, driven = Installation.vehicle_id == vehicle.id, Trip.vehicle_id == vehicle.id
-    else:
-        device_id = "" if box is None else box.device.id
-        installed, driven = Installation.device_id == device_id, Trip.device_id == device_id
+    device_id = None if box is None or vehicle is not None else box.device.id
+    installed = Installation.device_id == device_id if vehicle is None else Installation.vehicle_id == vehicle.id
     installations = session.scalars(
         select(Installation).where(installed).order_by(Installation.began_at.desc()).limit(INSTALLATIONS_SHOWN)
     ).all()
-    trips = session.scalars(select(Trip).where(driven).order_by(Trip.began_at.desc()).limit(TRIPS_SHOWN)).all()
+    driven = trips(
+        session,
+        organisation_id,
+        device_id=device_id,
+        vehicle_id=None if vehicle is None else vehicle.id,
+        limit=TRIPS_SHOWN,
+    )
     angle = None
     if box is not None and box.installation is not None:
         angle = angle_to_reference(box.installation.result, box.device.reference_mountings)
-    return History(list(installations), list(trips), angle)
+    return History(list(installations), list(driven), angle)
 
 
 def _boxes(

@@ -20,17 +20,19 @@ router = APIRouter(include_in_schema=False, default_response_class=HTMLResponse)
 def fleet(request: Request, caller: Reader, settings: SettingsOf, database: DatabaseOf, now: Now) -> HTMLResponse:
     """Map, what needs attention, and every box."""
     with database.reading() as session:
+        change = queries.last_change(session, caller.organisation_id)
         found = queries.fleet(session, caller.organisation_id, now=now)
     context = {"fleet": found, "map_tiles_url": settings.map_tiles_url or ""}
-    return _answer(request, "fleet.html", caller, "fleet", context)
+    return _answer(request, "fleet.html", caller, "fleet", change, context)
 
 
 @router.get("/vehicles")
 def vehicles(request: Request, caller: Reader, database: DatabaseOf, now: Now) -> HTMLResponse:
     """Every vehicle, also those without a box."""
     with database.reading() as session:
+        change = queries.last_change(session, caller.organisation_id)
         found = queries.fleet(session, caller.organisation_id, now=now)
-    return _answer(request, "vehicles.html", caller, "vehicles", {"fleet": found})
+    return _answer(request, "vehicles.html", caller, "vehicles", change, {"fleet": found})
 
 
 @router.get("/vehicles/{vehicle_id}")
@@ -39,8 +41,9 @@ def vehicle(
 ) -> HTMLResponse:
     """A vehicle and the box in it."""
     with database.reading() as session:
+        change = queries.last_change(session, caller.organisation_id)
         page = queries.vehicle_page(session, caller.organisation_id, vehicle_id, now=now)
-    return _answer(request, "vehicle.html", caller, "vehicles", _vehicle_context(page, settings.map_tiles_url))
+    return _answer(request, "vehicle.html", caller, "vehicles", change, _vehicle_context(page, settings.map_tiles_url))
 
 
 @router.get("/devices/{device_id}")
@@ -49,18 +52,22 @@ def device(
 ) -> HTMLResponse:
     """A box by itself, in a vehicle or not."""
     with database.reading() as session:
+        change = queries.last_change(session, caller.organisation_id)
         page = queries.device_page(session, caller.organisation_id, device_id, now=now)
-    return _answer(request, "vehicle.html", caller, "vehicles", _vehicle_context(page, settings.map_tiles_url))
+    return _answer(request, "vehicle.html", caller, "vehicles", change, _vehicle_context(page, settings.map_tiles_url))
 
 
 def _vehicle_context(page: queries.VehiclePage, map_tiles_url: str | None) -> dict[str, Any]:
     return {"page": page, "map_tiles_url": map_tiles_url or "", "beginnings": BEGINNINGS, "statuses": STATUSES}
 
 
-def _answer(request: Request, template: str, caller: Caller, section: str, context: dict[str, Any]) -> HTMLResponse:
+def _answer(
+    request: Request, template: str, caller: Caller, section: str, last_change: int, context: dict[str, Any]
+) -> HTMLResponse:
     frame = {
         "section": section,
         "csrf_token": caller.csrf_token or "",
         "signed_in": caller.kind == "session",
+        "last_change": last_change,
     }
     return renderer(request.app)(template, {**frame, **context})

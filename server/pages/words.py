@@ -32,7 +32,7 @@ class Standing:
     @property
     def percent_says(self) -> bool:
         """Whether the percentage adds something to the headline: only while something is under way."""
-        return self.state in ("attention", "unknown") and 0 < self.percent
+        return self.state in ("attention", "unknown") and self.percent > 0
 
 
 def standing(status: str | None, result: Mapping[str, Any], *, progress: float, moved: bool) -> Standing:

@@ -101,8 +101,8 @@ class MountingScene:
         self._draw_v_frame(body)
         camera = self._server.initial_camera
         # The box is the subject: of a long vehicle the tail may leave the picture.
-        reach = 1.4 + 0.58 * min(body.length, 6.5)
-        target = np.array([0.3 + 0.75 * body.box[0], 0.0, 0.5 * body.height])
+        reach = 1.8 + 0.58 * min(body.length, 6.5)
+        target = np.array([0.55 + 0.75 * body.box[0], 0.0, 0.5 * body.height])
         camera.fov = float(np.radians(40.0))
         camera.look_at = target
         camera.position = target + reach * np.array([0.9, -0.95, 0.6])

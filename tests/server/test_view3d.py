@@ -30,8 +30,7 @@ from server.accounts.service import ensure_organisation
 from server.database import Database
 from server.errors import NotFoundError, UnavailableError
 from server.live.changes import announce
-from server.models import Base, Device, Installation, Vehicle, ViewTicket
-from server.settings import Settings
+from server.models import Device, Installation, Vehicle, ViewTicket, new_id
 from server.view3d import bodywork, permission
 from server.view3d.pool import ScenePool, close_share
 from server.view3d.relay import same_origin
@@ -44,7 +43,6 @@ NOW = dt.datetime(2026, 3, 12, 14, 3, tzinfo=dt.UTC)
 R_VA = Rotation.from_euler("YZX", [20.0, -35.0, 110.0], degrees=True).as_matrix()
 READY = {"status": "ready", "R_va": R_VA.tolist(), "sigma_deg": {"x": 0.6, "y": 0.5, "z": 0.9}, "reasons": ["Done."]}
 SUBPROTOCOL = f"viser-v{viser.__version__}"
-ADMIN = "an-administrator-token-for-tests"
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -217,19 +215,6 @@ def test_bodies_are_closed_symmetric_and_stand_on_the_ground(name):
 # --- rows, tickets, pool -----------------------------------------------------------------------------------------
 
 
-@pytest.fixture
-def view_settings(tmp_path: Path) -> Settings:
-    return Settings(data_dir=tmp_path, admin_token=ADMIN)
-
-
-@pytest.fixture
-def rows(view_settings: Settings) -> Generator[Database]:
-    database = Database(view_settings)
-    Base.metadata.create_all(database.engine)
-    yield database
-    database.dispose()
-
-
 def add_device(database: Database, *, result: dict | None = None) -> Device:
     with database.transaction() as session:
         organisation = ensure_organisation(session, now=NOW)
@@ -237,7 +222,7 @@ def add_device(database: Database, *, result: dict | None = None) -> Device:
         session.add(vehicle)
         session.flush()
         device = Device(
-            organisation_id=organisation.id, name="box", token_hash=f"{time.monotonic_ns():064d}",
+            organisation_id=organisation.id, name="box", token_hash=new_id() * 2,
             created_at=NOW, vehicle_id=vehicle.id,
         )  # fmt: skip
         session.add(device)
@@ -258,9 +243,9 @@ def put_result(session, device: Device, result: dict, **columns: object) -> None
     announce(session, "installation", at=NOW, organisation_id=device.organisation_id, device_id=device.id)
 
 
-def test_the_view_is_the_open_installation_or_nothing_yet(rows):
-    device = add_device(rows)
-    with rows.transaction() as session:
+def test_the_view_is_the_open_installation_or_nothing_yet(database):
+    device = add_device(database)
+    with database.transaction() as session:
         empty = load(session, device.id, now=NOW)
         assert empty is not None
         assert (empty.title, empty.vehicle_class, empty.R_va) == ("AB 123 CD · box", "van", None)
@@ -274,9 +259,9 @@ def test_the_view_is_the_open_installation_or_nothing_yet(rows):
         assert load(session, "0" * 32, now=NOW) is None
 
 
-def test_a_ticket_opens_one_view_for_ten_minutes(rows):
-    device, other = add_device(rows), add_device(rows)
-    with rows.transaction() as session:
+def test_a_ticket_opens_one_view_for_ten_minutes(database):
+    device, other = add_device(database), add_device(database)
+    with database.transaction() as session:
         ticket = permission.issue(session, device.organisation_id, device.id, now=NOW)
         _, view3d, secret, device_id, _ = ticket.url.split("/")
         assert (view3d, device_id) == ("view3d", device.id)
@@ -307,9 +292,9 @@ def pool_of(database: Database, **options: object) -> Generator[ScenePool]:
         pool.close()
 
 
-def test_the_pool_shares_evicts_the_least_recent_and_refuses_when_all_are_watched(rows):
-    a, b, c = (add_device(rows).id for _ in range(3))
-    with pool_of(rows, capacity=2, poll_s=60.0) as pool:
+def test_the_pool_shares_evicts_the_least_recent_and_refuses_when_all_are_watched(database):
+    a, b, c = (add_device(database).id for _ in range(3))
+    with pool_of(database, capacity=2, poll_s=60.0) as pool:
         port = pool.enter(a)
         assert pool.enter(a) == port
         pool.enter(b)
@@ -324,10 +309,10 @@ def test_the_pool_shares_evicts_the_least_recent_and_refuses_when_all_are_watche
         assert pool.running() == (a,), "one of two onlookers is still there"
 
 
-def test_idle_servers_stop_and_give_back_their_threads_and_files(rows):
-    devices = [add_device(rows).id for _ in range(4)]
+def test_idle_servers_stop_and_give_back_their_threads_and_files(database):
+    devices = [add_device(database).id for _ in range(4)]
     now = [0.0]
-    with pool_of(rows, idle_s=60.0, poll_s=60.0, monotonic=lambda: now[0]) as pool:
+    with pool_of(database, idle_s=60.0, poll_s=60.0, monotonic=lambda: now[0]) as pool:
         before = (threading.active_count(), len(list(Path("/proc/self/fd").iterdir())))
         for device in devices:
             pool.enter(device)
@@ -344,17 +329,17 @@ def test_idle_servers_stop_and_give_back_their_threads_and_files(rows):
         assert len(list(Path("/proc/self/fd").iterdir())) <= before[1] + 1
 
 
-def test_a_change_row_brings_the_scene_up_to_date(rows, monkeypatch):
+def test_a_change_row_brings_the_scene_up_to_date(database, monkeypatch):
     shown: list[MountingView] = []
     monkeypatch.setattr(MountingScene, "show", lambda _, view: shown.append(view))
-    device, unwatched = add_device(rows, result={"status": "insufficient", "reasons": []}), add_device(rows)
-    with pool_of(rows, poll_s=0.02) as pool:
+    device, unwatched = add_device(database, result={"status": "insufficient", "reasons": []}), add_device(database)
+    with pool_of(database, poll_s=0.02) as pool:
         pool.enter(device.id)
         assert [view.R_va for view in shown] == [None]
-        with rows.transaction() as session:
+        with database.transaction() as session:
             put_result(session, unwatched, READY)
             announce(session, "position", at=NOW, organisation_id=device.organisation_id, device_id=device.id)
-        with rows.transaction() as session:
+        with database.transaction() as session:
             put_result(session, device, READY, began_at=NOW + dt.timedelta(minutes=1))
         wait_until(lambda: len(shown) > 1)
         assert np.array(shown[1].R_va) == pytest.approx(R_VA)
@@ -382,22 +367,8 @@ def serving(app: object, port: int) -> Generator[uvicorn.Server]:
         assert not thread.is_alive()
 
 
-@pytest.fixture
-def api(view_settings: Settings, rows: Database) -> Generator[tuple[str, object]]:
-    from server.app import create_app
-
-    del rows
-    app = create_app(view_settings)
-    app.state.viewer_url = None
-    port = free_port()
-    with serving(app, port):
-        yield f"http://127.0.0.1:{port}", app
-
-
-def ticket_for(base: str, device: Device) -> str:
-    answer = httpx.post(
-        f"{base}/api/v1/devices/{device.id}/view-ticket", headers={"Authorization": f"Bearer {ADMIN}"}, trust_env=False
-    )
+def ticket_for(admin: httpx.Client, device: Device) -> str:
+    answer = admin.post(f"/api/v1/devices/{device.id}/view-ticket")
     assert answer.status_code == 201, answer.text
     return answer.json()["url"]
 
@@ -420,19 +391,18 @@ def status_of_refusal(base: str, path: str, **options: str) -> int:
     return refusal.value.response.status_code
 
 
-def test_page_and_socket_end_to_end_through_the_api(api, view_settings, rows):
-    base, app = api
-    device, other = add_device(rows, result=READY), add_device(rows)
-    path = ticket_for(base, device)
-    viewer_port = free_port()
-    app.state.viewer_url = f"http://127.0.0.1:{viewer_port}"
+def test_page_and_socket_end_to_end_through_the_api(app, address, client, admin, settings, database, clock):
+    device, other = add_device(database, result=READY), add_device(database)
+    path = ticket_for(admin, device)
+    port = free_port()
+    app.state.viewer_url = f"http://127.0.0.1:{port}"
 
-    down = httpx.get(base + path, trust_env=False)
+    down = client.get(path)
     assert (down.status_code, "not running now" in down.text) == (503, True)
-    assert status_of_refusal(base, path) == 503
+    assert status_of_refusal(address, path) == 503
 
-    with serving(create_viewer(view_settings), viewer_port):
-        page = httpx.get(base + path, trust_env=False)
+    with serving(create_viewer(settings, clock=clock), port):
+        page = client.get(path)
         assert page.status_code == 200
         assert page.content == client_page()
         policy = page.headers["content-security-policy"]
@@ -440,52 +410,48 @@ def test_page_and_socket_end_to_end_through_the_api(api, view_settings, rows):
         assert "'unsafe-eval'" in policy
         assert page.headers["referrer-policy"] == "no-referrer"
 
-        with open_socket(base, path) as client:
-            assert client.subprotocol == SUBPROTOCOL
-            first = client.recv(timeout=10)
+        with open_socket(address, path) as browser:
+            assert browser.subprotocol == SUBPROTOCOL
+            first = browser.recv(timeout=10)
             assert isinstance(first, bytes)
             assert len(first) > 16
-        assert status_of_refusal(base, path, origin="https://elsewhere.example") == 403
-        assert status_of_refusal(base, path.replace(device.id, other.id)) == 403
-        secret = path.split("/")[2]
-        assert status_of_refusal(base, path.replace(secret, "A" * len(secret))) == 403
+        assert status_of_refusal(address, path, origin="https://elsewhere.example") == 403
         # Straight at the viewer, as behind a reverse proxy, it is no different.
         direct = app.state.viewer_url
-        assert httpx.get(f"{direct}/healthz", trust_env=False).text == "ok"
-        assert httpx.get(direct + path.replace(secret, "A" * 32), trust_env=False).status_code == 403
+        assert httpx.get(f"{direct}/healthz").text == "ok"
+        secret = path.split("/")[2]
+        for wrong in (path.replace(device.id, other.id), path.replace(secret, "A" * len(secret))):
+            assert httpx.get(direct + wrong).status_code == 403
+            assert status_of_refusal(direct, wrong) == 403
         assert status_of_refusal(direct, path, origin="https://elsewhere.example") == 403
-        survivor = open_socket(base, path)
+        survivor = open_socket(address, path)
         survivor.recv(timeout=10)
 
     # The viewer went away: the open socket ends, new ones are refused, and all is well once it is back.
     with pytest.raises(ConnectionClosed):
         drain(survivor)
-    assert status_of_refusal(base, path) == 503
-    with serving(create_viewer(view_settings), viewer_port), open_socket(base, path) as client:
-        assert client.recv(timeout=10)
+    assert status_of_refusal(address, path) == 503
+    with serving(create_viewer(settings, clock=clock), port), open_socket(address, path) as browser:
+        assert browser.recv(timeout=10)
+
+        clock.advance(seconds=permission.LIFETIME.total_seconds())
+        assert httpx.get(direct + path).status_code == 403
+        assert status_of_refusal(direct, path) == 403
+        assert status_of_refusal(address, path) == 403, "the gate in front refuses it too"
+        assert client.get(path).status_code == 303
 
 
-def test_an_expired_ticket_opens_nothing(api, view_settings, rows):
-    base, app = api
-    device = add_device(rows)
-    path = ticket_for(base, device)
-    later = dt.datetime.now(dt.UTC) + permission.LIFETIME
-    viewer_port = free_port()
-    app.state.viewer_url = f"http://127.0.0.1:{viewer_port}"
-    with serving(create_viewer(view_settings, clock=lambda: later), viewer_port):
-        assert httpx.get(base + path, trust_env=False).status_code == 403
-        assert status_of_refusal(base, path) == 403
-
-
-def test_tickets_need_credentials(api, rows):
-    base, _ = api
-    device = add_device(rows)
-    url = f"{base}/api/v1/devices/{device.id}/view-ticket"
-    assert httpx.post(url, trust_env=False).status_code == 401
-    missing = httpx.post(
-        url.replace(device.id, "0" * 32), headers={"Authorization": f"Bearer {ADMIN}"}, trust_env=False
-    )
+def test_tickets_need_credentials_and_a_device_of_theirs(client, admin, database):
+    device = add_device(database)
+    assert client.post(f"/api/v1/devices/{device.id}/view-ticket").status_code == 401
+    missing = admin.post(f"/api/v1/devices/{'0' * 32}/view-ticket")
     assert (missing.status_code, missing.json()["code"]) == (404, "not_found")
+
+
+def test_a_service_without_viewer_says_so(address, client, admin, database):
+    path = ticket_for(admin, add_device(database))
+    assert client.get(path).status_code == 503
+    assert status_of_refusal(address, path) == 503
 
 
 def test_no_client_can_make_viser_open_a_tunnel(monkeypatch):

@@ -9,16 +9,28 @@ import { formatTimes } from "./time.js";
 const KINDS = ["batch", "installation", "trip", "position", "moved", "device", "vehicle"];
 /** Changes come in crowds; a second's worth of them is one fetch. */
 const SETTLE_MS = 1000;
+const RETRY_MS = 5000;
 
 /** @type {ReturnType<typeof setTimeout> | undefined} */
 let pending;
 let stale = false;
 
 export function watch() {
-  const source = new EventSource("/api/v1/live");
-  // What happened between rendering and connecting, or while the connection was down, is fetched here.
-  source.addEventListener("open", () => { say("on", "Live"); refreshSoon(); });
-  source.addEventListener("error", () => say("off", "Reconnecting"));
+  connect();
+  document.addEventListener("visibilitychange", () => { if (!document.hidden && stale) refreshSoon(); });
+  addEventListener("pageshow", (event) => { if (event.persisted) location.reload(); });
+}
+
+function connect() {
+  // The page says up to which change it is true; a connection that drops resumes by Last-Event-ID.
+  const source = new EventSource(`/api/v1/live?after=${document.body.dataset.change ?? ""}`);
+  source.addEventListener("open", () => say("on", "Live"));
+  source.addEventListener("error", () => {
+    say("off", "Reconnecting");
+    if (source.readyState !== EventSource.CLOSED) return;
+    // Refused rather than dropped, and the browser will not try again by itself: signed out, or not up yet.
+    setTimeout(() => { void refresh(); connect(); }, RETRY_MS);
+  });
   for (const kind of KINDS) {
     source.addEventListener(kind, (event) => {
       /** @type {Change} */
@@ -27,9 +39,7 @@ export function watch() {
       refreshSoon();
     });
   }
-  document.addEventListener("visibilitychange", () => { if (!document.hidden && stale) refreshSoon(); });
   addEventListener("pagehide", () => source.close());
-  addEventListener("pageshow", (event) => { if (event.persisted) location.reload(); });
 }
 
 /** @param {"on" | "off"} state @param {string} words */

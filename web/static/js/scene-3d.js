@@ -1,14 +1,10 @@
 // <scene-3d device="id">: the 3D view in a frame of our own origin, opened with a short-lived ticket.
 
+import { whenSeen } from "./seen.js";
+
 class Scene3d extends HTMLElement {
   connectedCallback() {
-    // A frame that nobody looks at need not be drawn.
-    const seen = new IntersectionObserver((entries) => {
-      if (!entries.some((entry) => entry.isIntersecting)) return;
-      seen.disconnect();
-      void this.#open();
-    }, { rootMargin: "200px" });
-    seen.observe(this);
+    whenSeen(this, () => void this.#open());
   }
 
   async #open() {

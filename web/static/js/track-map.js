@@ -3,6 +3,7 @@
 import { GeoJSONSource } from "../vendor/maplibre-gl/maplibre-gl.mjs";
 import { collection, fit, makeMap } from "./basemap.js";
 import { colour } from "./palette.js";
+import { whenSeen } from "./seen.js";
 
 /** @typedef {import("../vendor/maplibre-gl/maplibre-gl.mjs").Map} Map */
 
@@ -15,9 +16,11 @@ class TrackMap extends HTMLElement {
   #fitted = "";
 
   connectedCallback() {
-    this.#map = makeMap(this, this.getAttribute("tiles") ?? "", (map) => this.#dress(map));
-    document.addEventListener("scatola:parts", this.#update);
-    void this.#update();
+    whenSeen(this, () => {
+      this.#map = makeMap(this, this.getAttribute("tiles") ?? "", (map) => this.#dress(map));
+      document.addEventListener("scatola:parts", this.#update);
+      void this.#update();
+    });
   }
 
   disconnectedCallback() {
@@ -47,7 +50,7 @@ class TrackMap extends HTMLElement {
   }
 
   #points() {
-    return this.#track.features.flatMap((f) => (f.geometry.type === "LineString" ? /** @type {[number, number][]} */ (f.geometry.coordinates) : []));
+    return this.#track.features.flatMap((f) => (f.geometry?.type === "LineString" ? /** @type {[number, number][]} */ (f.geometry.coordinates) : []));
   }
 
   #ends() {

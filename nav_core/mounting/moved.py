@@ -1,0 +1,161 @@
+"""Was the box moved during the drive?  When, and how far?
+
+A suspicion comes cheaply: from the mean direction of specific force, which shows a change of tilt of
+any size, and from the evidence by stretches, which shows what else changed.  A suspicion counts when
+the two sides, each solved on its own, differ by more than their own doubt.  Hills, bends, slow drift
+of the accelerometer and a rough ride raise suspicions; they do not survive that.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from nav_core.mounting.confidence import FLOOR, assess
+from nav_core.mounting.model import Noise, Record
+from nav_core.mounting.refine import BLOCK, HUBER, Fit, weigh
+from nav_core.mounting.solution import Solution, between, solve
+from nav_core.rotation import error_between
+from nav_core.typing import Floats
+
+LEAST_SIDE = 25.0
+"""Shortest side of a move that can be judged, s of record."""
+
+LEAST_ANGLE = np.radians(6.0)
+"""Smaller differences are left to bias drift and the like, rad."""
+
+SURE = 30.0
+"""Squared difference over its covariance (three degrees of freedom) that counts as a move."""
+
+MAX_DEPTH = 4
+_TILT = np.radians(8.0)
+_RANGE = np.radians(30.0)
+
+
+class Piece(NamedTuple):
+    """A stretch of a drive with one mounting."""
+
+    record: Record
+    solution: Solution
+
+
+def tilt_suspicion(record: Record) -> float | None:
+    """Box time of the best single step in the mean direction of specific force, s, if it is large."""
+    t, f = record.t, record.f
+    if t.size < 3:
+        return None
+    count = np.arange(1, t.size)
+    total = np.cumsum(f, axis=0)
+    before = total[:-1] / count[:, None]
+    after = (total[-1] - total[:-1]) / (t.size - count)[:, None]
+    fair = (t[1:] - t[0] >= LEAST_SIDE) & (t[-1] - t[1:] >= LEAST_SIDE)
+    if not fair.any():
+        return None
+    weight = count * (t.size - count) * np.einsum("ij,ij->i", before - after, before - after)
+    best = int(np.argmax(np.where(fair, weight, -1.0)))
+    cosine = before[best] @ after[best] / np.linalg.norm(before[best]) / np.linalg.norm(after[best])
+    return float(t[best + 1]) if np.arccos(np.clip(cosine, -1.0, 1.0)) > _TILT else None
+
+
+def evidence_suspicion(fit: Fit) -> float | None:
+    """Box time at which the evidence changes its mind most, s, if it does so clearly.
+
+    Every split of the stretches into before and after is tried with a turn of its own on either
+    side and all else held; the gain in log likelihood tells.
+    """
+    e = np.concatenate([[1.0], fit.p])
+    information = np.cumsum(fit.gram[:, 1:4, 1:4], axis=0)
+    pull = -np.cumsum((fit.gram @ e)[:, 1:4], axis=0)
+    least = int(np.ceil(LEAST_SIDE / BLOCK))
+    if information.shape[0] < 2 * least:
+        return None
+    weak = np.eye(3) / _RANGE**2
+
+    def gain(A: Floats, b: Floats) -> tuple[Floats, Floats]:
+        turn = np.linalg.solve(A + weak, b[..., None])[..., 0]
+        return np.einsum("...i,...i->...", turn, b), turn
+
+    split = slice(least - 1, information.shape[0] - least)
+    first, turn_first = gain(information[split], pull[split])
+    second, turn_second = gain(information[-1] - information[split], pull[-1] - pull[split])
+    whole, _ = gain(information[-1], pull[-1])
+    ratio = max(float(fit.misfit.sum() / max(fit.count.sum(), 1.0)), 1.0)
+    best = int(np.argmax(first + second))
+    clear = (first[best] + second[best] - whole) / ratio > SURE
+    far = float(np.linalg.norm(turn_second[best] - turn_first[best])) > 0.5 * LEAST_ANGLE
+    return fit.begin + (best + least) * BLOCK if clear and far else None
+
+
+def pieces_of(record: Record, noise: Noise, *, depth: int = MAX_DEPTH) -> list[Piece]:
+    """A drive cut where the box was moved.
+
+    Parameters
+    ----------
+    record : Record
+        With at least three fixes and some ticks.
+    noise : Noise
+    depth : int
+        How often a piece may be cut again.
+
+    Returns
+    -------
+    list of Piece
+        In order of time; one where the box stayed put.
+    """
+    solution = solve(record, noise)
+    whole = Piece(record, solution)
+    if depth == 0:
+        return [whole]
+    for when in (tilt_suspicion(record), evidence_suspicion(solution.rough)):
+        cut = None if when is None else _confirmed(record, when, noise)
+        if cut is not None:
+            first, second = cut
+            return pieces_of(first, noise, depth=depth - 1) + pieces_of(second, noise, depth=depth - 1)
+    return [whole]
+
+
+def _confirmed(record: Record, when: float, noise: Noise) -> tuple[Record, Record] | None:
+    """Both sides of a suspected move, with the moment sharpened; None when they agree."""
+    for _ in range(2):
+        sides = _sides(record, when)
+        if sides is None:
+            return None
+        before, after = (solve(side, noise) for side in sides)
+        sharper = _moment(record, before.fit, after.fit, noise)
+        if abs(sharper - when) < BLOCK:
+            break
+        when = sharper
+    sides = _sides(record, when)
+    if sides is None or not _differ(before.fit, after.fit):
+        return None
+    return sides
+
+
+def _sides(record: Record, when: float) -> tuple[Record, Record] | None:
+    t = record.fixes.t
+    if when - t[0] < LEAST_SIDE or t[-1] - when < LEAST_SIDE:
+        return None
+    sides = between(record, t[0], when), between(record, when, t[-1])
+    return sides if all(side.fixes.t.size >= 5 and side.t.size >= 50 for side in sides) else None
+
+
+def _differ(one: Fit, other: Fit) -> bool:
+    e = error_between(other.R_va, one.R_va)
+    doubt = np.zeros((3, 3))
+    for fit in (one, other):
+        # The roads' mean bank is common to both sides.
+        covariance = assess(fit).covariance
+        covariance[0, 0] -= fit.noise.crown**2
+        doubt += covariance + FLOOR**2 * np.eye(3)
+    return bool(np.linalg.norm(e) > LEAST_ANGLE and e @ np.linalg.solve(doubt, e) > SURE)
+
+
+def _moment(record: Record, before: Fit, after: Fit, noise: Noise) -> float:
+    """Box time of the move that makes the record most likely, given both mountings."""
+    costs: list[Floats] = []
+    for fit in (before, after):
+        evidence = weigh(record, fit.R_va, (fit.speed_lag, fit.course_lag), noise, fit.p, HUBER)
+        costs.append((evidence.misfit(fit.p) + evidence.log_det).sum(1))
+    gain = np.concatenate([[0.0], np.cumsum(costs[0] - costs[1])])
+    return float(record.fixes.t[0]) + int(np.argmin(gain)) * BLOCK

@@ -1,0 +1,69 @@
+"""From a record during which the box did not move to its mounting: start, noise levels, refinement."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from nav_core.mounting.adapt import adapted
+from nav_core.mounting.closed_form import Start, start
+from nav_core.mounting.model import Fixes, Noise, Record
+from nav_core.mounting.refine import HUBER, Fit, refine
+
+EXCERPT = 600.0
+"""Length of the stretch that start and noise levels are taken from, s."""
+
+
+class Solution(NamedTuple):
+    """A fit and where it came from."""
+
+    start: Start
+    rough: Fit
+    """With the noise levels of an ordinary drive, on the excerpt."""
+    fit: Fit
+
+
+def solve(record: Record, noise: Noise) -> Solution:
+    """Best mounting of a record during which the box did not move.
+
+    Parameters
+    ----------
+    record : Record
+        With at least three fixes and some ticks.
+    noise : Noise
+        Least noise levels.
+
+    Returns
+    -------
+    Solution
+    """
+    part = excerpt(record, EXCERPT)
+    first = start(part, noise)
+    rough = refine(part, first, noise)
+    lags = (rough.speed_lag, rough.course_lag)
+    suited = adapted(part, rough.R_va, lags, noise, rough.p, HUBER)
+    if part is record and suited == noise:
+        return Solution(first, rough, rough)
+    better = first._replace(R_va=rough.R_va, speed_lag=lags[0], course_lag=lags[1])
+    return Solution(first, rough, refine(record, better, suited))
+
+
+def excerpt(record: Record, length: float) -> Record:
+    """The most eventful stretch of a record, at most `length` seconds long."""
+    t = record.fixes.t
+    if t[-1] - t[0] <= length:
+        return record
+    events = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(record.fixes.speed)))])
+    end = np.searchsorted(t, t + length, side="right") - 1
+    first = int(np.argmax(events[end] - events))
+    return between(record, t[first], t[int(end[first])])
+
+
+def between(record: Record, begin: float, end: float) -> Record:
+    """The part of a record from one box time to another, s; its first step counts from nowhere."""
+    inside = (record.fixes.t >= begin) & (record.fixes.t <= end)
+    ticks = (record.t >= begin) & (record.t <= end)
+    step = record.step[ticks].copy()
+    step[:1] = 0.0
+    return Record(record.t[ticks], record.f[ticks], step, Fixes(*(column[inside] for column in record.fixes)))

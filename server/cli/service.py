@@ -1,0 +1,79 @@
+"""Commands that run the service: `serve`, `worker`, `viewer`, `migrate`, `warm-up`."""
+
+from __future__ import annotations
+
+import argparse
+import functools
+import sys
+import tempfile
+import threading
+from pathlib import Path
+
+from server.settings import Settings, set_numba_cache_dir
+
+say = functools.partial(print, flush=True)
+
+
+def serve(args: argparse.Namespace) -> int:
+    """`scatola serve`."""
+    del args
+    from server.serve import serve as run
+
+    run(Settings(), say=say)
+    return 0
+
+
+def worker(args: argparse.Namespace) -> int:
+    """`scatola worker`."""
+    del args
+    set_numba_cache_dir()
+    from server.jobs.worker import run
+    from server.telemetry import configure_logging
+
+    settings = Settings()
+    configure_logging(as_json=settings.log_json)
+    run(settings)
+    return 0
+
+
+def viewer(args: argparse.Namespace) -> int:
+    """`scatola viewer`."""
+    from server.jobs.supervise import follow_parent
+    from server.telemetry import configure_logging
+    from server.view3d.viewer import run_viewer
+
+    settings = Settings()
+    configure_logging(as_json=settings.log_json)
+    stop = threading.Event()
+    follow_parent(stop.set)
+    run_viewer(settings, host=args.host, port=args.port, stop=stop)
+    return 0
+
+
+def migrate(args: argparse.Namespace) -> int:
+    """`scatola migrate`; with `--check`, on a database of its own."""
+    from server.migrations import differences, upgrade
+
+    if not args.check:
+        upgrade(Settings())
+        return 0
+    with tempfile.TemporaryDirectory() as folder:
+        settings = Settings(data_dir=Path(folder), database_url=None)
+        upgrade(settings)
+        found = differences(settings)
+    for difference in found:
+        print(difference, file=sys.stderr)
+    return 1 if found else 0
+
+
+def warm_up(args: argparse.Namespace) -> int:
+    """`scatola warm-up`: run what is compiled once, on a short drive, so that nobody waits for it later."""
+    del args
+    set_numba_cache_dir()
+    from nav_core.mounting import estimate_mounting
+    from nav_core.simulate import Scenario, simulate
+
+    drive, _ = simulate(Scenario(duration=60.0, accel_rate=50.0), seed=0)
+    for method in ("whole-drive", "mekf"):
+        estimate_mounting(drive, method=method)
+    return 0

@@ -1,0 +1,125 @@
+"""`scatola serve`: the API in this process, worker and viewer as supervised children when embedded."""
+
+from __future__ import annotations
+
+import contextlib
+import datetime as dt
+import signal
+import socket
+from collections.abc import Callable
+from types import FrameType
+
+import uvicorn
+from fastapi import FastAPI
+
+from server.accounts.service import first_sign_in
+from server.app import create_app
+from server.database import Database
+from server.jobs.supervise import Child, Supervisor, scatola
+from server.migrations import is_current, upgrade
+from server.settings import Settings
+from server.telemetry import configure_logging
+
+_FINISH_REQUESTS_S, _FINISH_CHILDREN_S = 2, 7.0
+"""Together under the ten seconds in which everything is promised to have stopped."""
+
+
+def serve(
+    settings: Settings,
+    *,
+    say: Callable[[str], None],
+    more_children: Callable[[str], list[Child]] = lambda url: [],  # noqa: ARG005  none needs the address
+    sign_in: Callable[[Database], str | None] | None = None,
+) -> None:
+    """Serve until SIGTERM or SIGINT; `say` gets the lines that a person at the terminal should read.
+
+    `more_children` are started beside worker and viewer once the address is known.
+    """
+    configure_logging(as_json=settings.log_json)
+    if settings.embedded:
+        upgrade(settings)
+    app = create_app(settings)
+    if not is_current(app.state.database.engine):
+        raise ValueError("the database is not at this version's schema: run `scatola migrate` first")
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, _leave)
+    with contextlib.ExitStack() as stack:
+        sock = socket.create_server((settings.host, settings.port), reuse_port=False, backlog=1024)
+        stack.callback(sock.close)
+        url = _address(settings.host, sock.getsockname()[1])
+        if settings.embedded:
+            children = [*_children(app), *more_children(url)]
+            supervisor = Supervisor(children)
+            app.state.wake = supervisor.wake
+            stack.callback(supervisor.stop, _FINISH_CHILDREN_S)
+            supervisor.start()
+        else:
+            from server.jobs.broker import Sender
+
+            sender = Sender(settings)
+            app.state.wake = sender
+            stack.callback(sender.close)
+
+        def greet() -> None:
+            say(f"Scatola serves {url}")
+            code = (sign_in or _first_sign_in(settings))(app.state.database)
+            if code is not None:
+                say(f"Sign in, once:  {url}/login?code={code}")
+
+        config = uvicorn.Config(
+            app,
+            log_config=None,
+            access_log=False,  # our own log names routes, not paths: those may carry tickets and codes
+            ws="websockets-sansio",
+            ws_max_size=1024 * 1024,
+            timeout_graceful_shutdown=_FINISH_REQUESTS_S,
+        )
+        _Server(config, greet).run(sockets=[sock])
+
+
+class _Server(uvicorn.Server):
+    """Tells when it listens."""
+
+    def __init__(self, config: uvicorn.Config, started: Callable[[], None]) -> None:
+        super().__init__(config)
+        self._tell = started
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        await super().startup(sockets)
+        self._tell()
+
+
+def _children(app: FastAPI) -> list[Child]:
+    children = [Child("worker", scatola("worker"))]
+    settings: Settings = app.state.settings
+    if settings.viewer_url is None:
+        port = _free_port()
+        app.state.viewer_url = f"http://127.0.0.1:{port}"
+        children.append(Child("viewer", scatola("viewer", "--port", str(port))))
+    return children
+
+
+def _first_sign_in(settings: Settings) -> Callable[[Database], str | None]:
+    def code(database: Database) -> str | None:
+        if settings.admin_token is not None:
+            return None
+        with database.transaction() as session:
+            return first_sign_in(session, now=dt.datetime.now(dt.UTC))
+
+    return code
+
+
+def _address(host: str, port: int) -> str:
+    return f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
+
+
+def _free_port() -> int:
+    with socket.create_server(("127.0.0.1", 0)) as probe:
+        return int(probe.getsockname()[1])
+
+
+def _leave(number: int, frame: FrameType | None) -> None:
+    # uvicorn handles the signal while it serves and raises it again when it is done: everything is
+    # stopped on the way out.
+    del number, frame
+    raise SystemExit(0)
