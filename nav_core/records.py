@@ -257,6 +257,9 @@ class MountingEstimate:
         if self.R_va is not None and self.covariance is not None:
             object.__setattr__(self, "R_va", _triads("R_va", self.R_va, 3))
             object.__setattr__(self, "covariance", _triads("covariance", self.covariance, 3))
+        # Plain Python, whatever array code computed them: records are written as JSON.
+        for name in ("stable", "reliable"):
+            object.__setattr__(self, name, bool(getattr(self, name)))
         if not 0.0 <= self.progress <= 1.0:
             raise RangeError("progress", self.progress, "0..1")
 

@@ -35,7 +35,7 @@ def serve(
 
     `more_children` are started beside worker and viewer once the address is known.
     """
-    configure_logging(as_json=settings.log_json)
+    configure_logging(as_json=settings.log_json, level=settings.log_level)
     if settings.embedded:
         upgrade(settings)
     app = create_app(settings)

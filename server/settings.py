@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import platformdirs
 from pydantic import Field, SecretStr, field_validator
@@ -36,6 +36,7 @@ class Settings(BaseSettings):
     max_decoded_bytes: int = Field(default=64 * 1024 * 1024, gt=0)
     device_requests_per_minute: int = Field(default=600, gt=0)
     log_json: bool = False
+    log_level: Literal["debug", "info", "warning", "error"] = "info"
 
     @field_validator("trusted_origins", mode="before")
     @classmethod

@@ -29,7 +29,7 @@ _METHODS = frozenset({"GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"
 log = structlog.stdlib.get_logger("scatola")
 
 
-def configure_logging(*, as_json: bool) -> None:
+def configure_logging(*, as_json: bool, level: str = "info") -> None:
     """One line per event on standard error, of our own and of the libraries that use `logging`."""
     shared: list[structlog.typing.Processor] = [
         structlog.contextvars.merge_contextvars,
@@ -58,7 +58,10 @@ def configure_logging(*, as_json: bool) -> None:
     handler.setFormatter(formatter)
     root = logging.getLogger()
     root.handlers[:] = [handler]
-    root.setLevel(logging.INFO)
+    root.setLevel(level.upper())
+    # Libraries that tell every step of theirs at the level at which we tell of a request.
+    for name in ("alembic", "uvicorn", "httpx", "dramatiq", "pika", "websockets"):
+        logging.getLogger(name).setLevel(logging.WARNING)
 
 
 class Backlog(Collector):

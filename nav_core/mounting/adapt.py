@@ -17,7 +17,7 @@ from nav_core.mounting.whitening import whiten
 from nav_core.typing import Floats
 
 _LADDER = (1.0, 1.5, 2.2, 3.3, 5.0, 8.0)
-_PITCH_LEVELS = (("speed_white", "speed_slow"), ("heave",), ("force", "relative"), ("slope",))
+_PITCH_LEVELS = (("speed_white", "speed_slow"), ("heave",), ("force", "relative"), ("slope",), ("drift",))
 _YAW_LEVELS = (("across_white", "across_slow"), ("bank",), ("relative_turn",))
 GAIN = 6.0
 """A step up must raise twice the log likelihood by this much."""

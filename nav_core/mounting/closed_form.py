@@ -82,7 +82,7 @@ def _planes(record: Record, level: Floats, lag: float, noise: Noise) -> tuple[Ch
     Q[:, CLIMB, CLIMB] = 0.0
     Y = np.zeros((count, 3, 5))
     Y[:, 0, 0], Y[:, 1, 0] = record.fixes.speed, np.nan_to_num(record.fixes.alt)
-    x0 = np.zeros(8)
+    x0 = np.zeros(10)
     x0[V], x0[4] = record.fixes.speed[0], Y[0, 1, 0]
     pitch = Channel(x0, P0, Phi, Q, np.array([V]), along, H, Y, r, np.zeros(3), np.arange(4))
     across = np.zeros((count, 1, 5))
@@ -94,8 +94,8 @@ def _planes(record: Record, level: Floats, lag: float, noise: Noise) -> tuple[Ch
     Phi, Q, H, r = yaw_system(record.fixes, steps, noise, driven, lost)
     Y = np.zeros((count, 1, 5))
     Y[:, 0, 0] = np.nan_to_num(record.fixes.course)
-    P0 = np.diag([100.0, noise.bank**2, noise.across_slow**2])
-    yaw = Channel(np.zeros(3), P0, Phi, Q, np.array([0]), across, H, Y, r, np.array([2.0 * np.pi]), np.arange(4))
+    P0 = np.diag([100.0, noise.bank**2, noise.across_slow**2, 0.0])
+    yaw = Channel(np.zeros(4), P0, Phi, Q, np.array([0]), across, H, Y, r, np.array([2.0 * np.pi]), np.arange(4))
     return pitch, yaw
 
 

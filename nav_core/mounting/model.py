@@ -9,7 +9,7 @@ Signs, for small road and body angles (V-frame; slope s uphill positive, climb d
 
     f_x = v' + g s + kappa_x v' - l_x w²
     f_y = v w + g bank + kappa_y v w + l_x w'
-    f_z = -g + climb' + v' s + f_y bank + (kappa_x f_x² + kappa_y f_y²) / g
+    f_z = -g + g s²/2 + climb' + v' s + f_y bank + (kappa_x v'² + kappa_y f_y²) / g
     course = heading + l_x w / v
 
 `v` is the speed of the box; ``l_x`` its place ahead of the point that does not slip.
@@ -75,6 +75,8 @@ class Noise:
     """Mean sideways tilt of the roads of a drive; part of the mounting for all the data can tell, rad."""
     bias: float = 6.0 * MILLI_G
     """Accelerometer bias before the drive has spoken, per axis, m/s²."""
+    drift: float = 3.0 * MILLI_G / np.sqrt(300.0)
+    """Random walk of the bias (temperature), (m/s²)/√s."""
     pitch_gain: tuple[float, float] = (0.04, 0.02)
     roll_gain: tuple[float, float] = (0.07, 0.03)
     """Body pitch and roll per g, as a share of specific force: mean and deviation."""
@@ -158,6 +160,14 @@ def integrate(record: Record, values: Floats) -> Floats:
     mean = values.copy()
     mean[1:] += values[:-1]
     return np.cumsum(0.5 * step * mean, axis=0)
+
+
+def smoothed(record: Record, values: Floats, reach: float) -> Floats:
+    """Mean of tick values over `reach` seconds either side, shape (m,)."""
+    total = np.concatenate([[0.0], np.cumsum(values)])
+    first = np.searchsorted(record.t, record.t - reach)
+    last = np.searchsorted(record.t, record.t + reach, side="right")
+    return (total[last] - total[first]) / (last - first)
 
 
 def at(record: Record, when: Floats, values: Floats) -> Floats:
@@ -258,7 +268,7 @@ def turned(record: Record, R_va: Floats, lag: float) -> Frame:
 
 
 # States of the pitch plane.
-V, CLIMB, SLOPE, CURVE, HEIGHT, SPEED_ERROR, HEIGHT_ERROR, TILT = range(8)
+V, CLIMB, SLOPE, CURVE, HEIGHT, SPEED_ERROR, HEIGHT_ERROR, TILT, DRIFT_X, DRIFT_Z = range(10)
 
 
 def pitch_system(record: Record, steps: Steps, noise: Noise, change: Floats, swing: Floats) -> tuple[Floats, ...]:
@@ -271,8 +281,11 @@ def pitch_system(record: Record, steps: Steps, noise: Noise, change: Floats, swi
     fixes = record.fixes
     count = fixes.t.size
     elapsed = np.diff(steps.when, prepend=steps.when[:1])
-    Phi, Q = np.zeros((count, 8, 8)), np.zeros((count, 8, 8))
-    Phi[:, (V, CLIMB, HEIGHT), (V, CLIMB, HEIGHT)] = 1.0
+    Phi, Q = np.zeros((count, 10, 10)), np.zeros((count, 10, 10))
+    steady = (V, CLIMB, HEIGHT, DRIFT_X, DRIFT_Z)
+    Phi[:, steady, steady] = 1.0
+    Phi[:, V, DRIFT_X] = Phi[:, CLIMB, DRIFT_Z] = -steps.dt
+    Q[:, DRIFT_X, DRIFT_X] = Q[:, DRIFT_Z, DRIFT_Z] = noise.drift**2 * elapsed
     Phi[:, V, SLOPE] = -GRAVITY * steps.dt
     Phi[:, HEIGHT, SLOPE] = steps.distance
     Phi[1:, CLIMB, SLOPE] = -np.diff(fixes.speed)
@@ -295,7 +308,7 @@ def pitch_system(record: Record, steps: Steps, noise: Noise, change: Floats, swi
     Q[:, V, V] = noise.force**2 * steps.dt + (noise.relative * change) ** 2 + lost
     Q[:, CLIMB, CLIMB] = noise.force**2 * steps.dt + lost
     Q[:, HEIGHT, HEIGHT] = (0.02 * steps.distance) ** 2 * steps.broken
-    H = np.zeros((count, 3, 8))
+    H = np.zeros((count, 3, 10))
     H[:, 0, V] = H[:, 0, SPEED_ERROR] = 1.0
     H[:, 1, HEIGHT] = H[:, 1, HEIGHT_ERROR] = 1.0
     H[:, 2, CLIMB], H[:, 2, SLOPE] = 1.0, fixes.speed
@@ -303,7 +316,7 @@ def pitch_system(record: Record, steps: Steps, noise: Noise, change: Floats, swi
     r[:, 0] = noise.speed_white**2
     r[:, 1] = np.where(np.isfinite(fixes.alt), noise.height_white**2, np.nan)
     r[:, 2] = noise.heave**2
-    deviations = [1e2, 1e2, noise.slope, beta * noise.slope, 1e2, noise.speed_slow, noise.height_slow, noise.bank]
+    deviations = [1e2, 1e2, noise.slope, beta * noise.slope, 1e2, noise.speed_slow, noise.height_slow, noise.bank, 0.0, 0.0]
     P0 = np.diag(np.square(deviations))
     return P0, Phi, Q, H, r
 
@@ -328,30 +341,36 @@ def pitch_plane(record: Record, R_va: Floats, lag: float, noise: Noise) -> Chann
     steps = steps_of(record, lag)
     frame = turned(record, R_va, lag)
     c = 1 + UNKNOWNS
-    quadratic = np.column_stack([frame.f[:, 0] ** 2, frame.f[:, 1] ** 2]) / GRAVITY
-    inputs = np.column_stack([frame.f, quadratic, frame.w**2])
+    fixes = record.fixes
+    acceleration = gps_rate(fixes.t, fixes.speed)
+    pushed = np.interp(record.t + lag, fixes.t, acceleration)
+    quadratic = np.column_stack([pushed**2, frame.f[:, 1] ** 2]) / GRAVITY
+    slope = smoothed(record, frame.f[:, 0] - pushed, 2.0) / GRAVITY
+    inputs = np.column_stack([frame.f, quadratic, frame.w**2, 0.5 * GRAVITY * slope**2])
     total = _difference(at(record, steps.when, integrate(record, inputs)), steps.broken)
     U = np.zeros((steps.when.size, 2, c))
     keep = 1.0 - noise.pitch_gain[0]
     U[:, 0, 0] = keep * total[:, 0] + noise.lever[0] * total[:, 5]
     U[:, 0, 1 + 1], U[:, 0, 1 + 2] = keep * total[:, 2], -keep * total[:, 1]
     U[:, 0, 1 + 3] = -steps.dt
-    acceleration = gps_rate(record.fixes.t, record.fixes.speed)
     U[:, 0, 1 + PITCH_GAIN] = -acceleration * steps.dt
     U[:, 0, 1 + LEVER_X] = total[:, 5]
     U[:, 1, 0] = (
-        total[:, 2] + GRAVITY * steps.dt - noise.pitch_gain[0] * total[:, 3] - noise.roll_gain[0] * total[:, 4]
+        total[:, 2]
+        + GRAVITY * steps.dt
+        - noise.pitch_gain[0] * total[:, 3]
+        - noise.roll_gain[0] * total[:, 4]
+        - total[:, 6]
     )
     U[:, 1, 1 + 0], U[:, 1, 1 + 1] = total[:, 1], -total[:, 0]
     U[:, 1, 1 + 5] = -steps.dt
     U[:, 1, 1 + PITCH_GAIN], U[:, 1, 1 + ROLL_GAIN] = -total[:, 3], -total[:, 4]
     P0, Phi, Q, H, r = pitch_system(record, steps, noise, total[:, 0], total[:, 1])
-    fixes = record.fixes
     Y = np.zeros((steps.when.size, 3, c))
     Y[:, 0, 0], Y[:, 1, 0] = fixes.speed, np.nan_to_num(fixes.alt)
     Y[:, 0, 1 + SPEED_LAG] = acceleration
     Y[:, 0, 1 + ANTENNA_Y] = at(record, steps.when, frame.w)
-    x0 = np.zeros(8)
+    x0 = np.zeros(10)
     x0[V] = fixes.speed[0]
     x0[HEIGHT] = Y[0, 1, 0]
     columns = np.concatenate([[0], 1 + PITCH_UNKNOWNS])
@@ -374,7 +393,7 @@ def yaw_plane(record: Record, R_va: Floats, lags: tuple[float, float], noise: No
     Returns
     -------
     Channel
-        Measurement: GPS course.  States: course, bank, slow error of lateral velocity.
+        Measurement: GPS course.  States: course, bank, slow error of lateral velocity, drift of the bias.
     """
     steps = steps_of(record, lags[1])
     frame = turned(record, R_va, lags[0])
@@ -401,10 +420,10 @@ def yaw_plane(record: Record, R_va: Floats, lags: tuple[float, float], noise: No
     Y[:, 0, 0] = np.nan_to_num(record.fixes.course) - noise.lever[0] * w * inverse_now
     Y[:, 0, 1 + COURSE_LAG] = turn_rate
     Y[:, 0, 1 + LEVER_X] = Y[:, 0, 1 + ANTENNA_X] = -w * inverse_now
-    P0 = np.diag([100.0, noise.bank**2, noise.across_slow**2])
+    P0 = np.diag([100.0, noise.bank**2, noise.across_slow**2, 0.0])
     columns = np.concatenate([[0], 1 + YAW_UNKNOWNS])
     return Channel(
-        np.zeros(3),
+        np.zeros(4),
         P0,
         Phi,
         Q,
@@ -423,18 +442,20 @@ def yaw_system(
 ) -> tuple[Floats, Floats, Floats, Floats]:
     """Transition, noise and measurement rows of the yaw plane."""
     count = fixes.t.size
-    Phi, Q = np.zeros((count, 3, 3)), np.zeros((count, 3, 3))
-    Phi[:, 0, 0] = 1.0
+    Phi, Q = np.zeros((count, 4, 4)), np.zeros((count, 4, 4))
+    Phi[:, 0, 0] = Phi[:, 3, 3] = 1.0
+    Phi[:, 0, 3] = -total[:, 3]
     Phi[:, 0, 1] = -GRAVITY * total[:, 3]
     along = np.exp(-steps.distance / noise.bank_length)
     Phi[:, 1, 1], Q[:, 1, 1] = along, (1.0 - along**2) * noise.bank**2
     elapsed = np.diff(steps.when, prepend=steps.when[:1])
+    Q[:, 3, 3] = noise.drift**2 * elapsed
     decay, fresh = _slow(elapsed, noise.slow_time)
     Phi[:, 2, 2], Q[:, 2, 2] = decay, fresh * noise.across_slow**2
     slack = np.where(steps.dt > 0.0, total[:, 3] ** 2 / np.maximum(steps.dt, 1e-3), 0.0)
     Q[:, 0, 0] = noise.force**2 * slack + (noise.relative_turn * total[:, 1]) ** 2 + np.where(lost, 100.0, 0.0)
     inverse = 1.0 / np.maximum(fixes.speed, FLOOR_SPEED)
-    H = np.zeros((count, 1, 3))
+    H = np.zeros((count, 1, 4))
     H[:, 0, 0], H[:, 0, 2] = 1.0, inverse
     r = np.where(np.isfinite(fixes.course), (noise.across_white * inverse) ** 2 + 1e-6, np.nan)[:, None]
     return Phi, Q, H, r

@@ -14,6 +14,7 @@ import numpy as np
 
 from nav_core.mounting.confidence import FLOOR, assess
 from nav_core.mounting.model import Noise, Record
+from nav_core.mounting.quality import excitation
 from nav_core.mounting.refine import BLOCK, HUBER, Fit, weigh
 from nav_core.mounting.solution import Solution, between, solve
 from nav_core.rotation import error_between
@@ -21,6 +22,9 @@ from nav_core.typing import Floats
 
 LEAST_SIDE = 25.0
 """Shortest side of a move that can be judged, s of record."""
+
+LEAST_MOVING = 60.0
+"""A change of heading alone needs this much driving on either side, s."""
 
 LEAST_ANGLE = np.radians(6.0)
 """Smaller differences are left to bias drift and the like, rad."""
@@ -127,9 +131,7 @@ def _confirmed(record: Record, when: float, noise: Noise) -> tuple[Record, Recor
             break
         when = sharper
     sides = _sides(record, when)
-    if sides is None or not _differ(before.fit, after.fit):
-        return None
-    return sides
+    return sides if sides is not None and _differ(sides, before.fit, after.fit) else None
 
 
 def _sides(record: Record, when: float) -> tuple[Record, Record] | None:
@@ -140,7 +142,12 @@ def _sides(record: Record, when: float) -> tuple[Record, Record] | None:
     return sides if all(side.fixes.t.size >= 5 and side.t.size >= 50 for side in sides) else None
 
 
-def _differ(one: Fit, other: Fit) -> bool:
+def _differ(sides: tuple[Record, Record], one: Fit, other: Fit) -> bool:
+    """Whether two mountings differ by more than their doubt.
+
+    A minute without much traffic can hold a heading that is wrong and sure of itself; there tilt
+    alone decides.
+    """
     e = error_between(other.R_va, one.R_va)
     doubt = np.zeros((3, 3))
     for fit in (one, other):
@@ -148,14 +155,19 @@ def _differ(one: Fit, other: Fit) -> bool:
         covariance = assess(fit).covariance
         covariance[0, 0] -= fit.noise.crown**2
         doubt += covariance + FLOOR**2 * np.eye(3)
+    axes = slice(0, 3) if min(excitation(side).moving for side in sides) > LEAST_MOVING else slice(0, 2)
+    e, doubt = e[axes], doubt[axes, axes]
     return bool(np.linalg.norm(e) > LEAST_ANGLE and e @ np.linalg.solve(doubt, e) > SURE)
 
 
 def _moment(record: Record, before: Fit, after: Fit, noise: Noise) -> float:
-    """Box time of the move that makes the record most likely, given both mountings."""
+    """Box time of the move that makes the record most likely, given both mountings.
+
+    Every stretch begins anew, so that what the wrong mounting did to the state ends with it.
+    """
     costs: list[Floats] = []
     for fit in (before, after):
-        evidence = weigh(record, fit.R_va, (fit.speed_lag, fit.course_lag), noise, fit.p, HUBER)
+        evidence = weigh(record, fit.R_va, (fit.speed_lag, fit.course_lag), noise, fit.p, HUBER, restart=True)
         costs.append((evidence.misfit(fit.p) + evidence.log_det).sum(1))
     gain = np.concatenate([[0.0], np.cumsum(costs[0] - costs[1])])
     return float(record.fixes.t[0]) + int(np.argmin(gain)) * BLOCK

@@ -80,12 +80,21 @@ class Fit:
         return np.einsum("...ij,...j->...i", covariance, pull), covariance
 
 
-def weigh(record: Record, R_va: Floats, lags: tuple[float, float], noise: Noise, p: Floats, limit: float) -> Evidence:
-    """Evidence of both planes at a mounting, the four kinds of measurement side by side."""
+def weigh(
+    record: Record,
+    R_va: Floats,
+    lags: tuple[float, float],
+    noise: Noise,
+    p: Floats,
+    limit: float,
+    *,
+    restart: bool = False,
+) -> Evidence:
+    """Evidence of both planes at a mounting, the four kinds of measurement side by side; see `whiten`."""
     block = blocks_of(record.fixes.t, record.fixes.t[0], BLOCK)
     count = int(block[-1]) + 1
-    pitch = whiten(pitch_plane(record, R_va, lags[0], noise), block, count, p, limit=limit)
-    yaw = whiten(yaw_plane(record, R_va, lags, noise), block, count, p, limit=limit)
+    pitch = whiten(pitch_plane(record, R_va, lags[0], noise), block, count, p, limit=limit, restart=restart)
+    yaw = whiten(yaw_plane(record, R_va, lags, noise), block, count, p, limit=limit, restart=restart)
     return Evidence(*(np.concatenate(pair, axis=1) for pair in zip(pitch, yaw, strict=True)))
 
 
@@ -98,7 +107,7 @@ def likely_bias(noise: Noise, seen: float) -> Noise:
     return replace(noise, bias=float(np.sqrt((2.0 * noise.bias**2 + seen**2) / 3.0)))
 
 
-def refine(record: Record, start: Start, noise: Noise) -> Fit:
+def refine(record: Record, start: Start, noise: Noise, p: Floats | None = None) -> Fit:
     """Maximum a posteriori mounting.
 
     Parameters
@@ -107,23 +116,27 @@ def refine(record: Record, start: Start, noise: Noise) -> Fit:
     start : Start
         Within some tens of degrees of the truth.
     noise : Noise
+    p : ndarray, shape (13,), optional
+        Where the unknowns are likely to end; given, outliers are told from the first pass on.
 
     Returns
     -------
     Fit
     """
     R_va, lags = start.R_va, (start.speed_lag, start.course_lag)
-    p = np.zeros(UNKNOWNS)
+    informed = p is not None
+    p = np.zeros(UNKNOWNS) if p is None else p.copy()
+    p[TURN] = p[[SPEED_LAG, COURSE_LAG]] = 0.0
     base = noise
     for number in range(_PASSES):
-        evidence = weigh(record, R_va, lags, noise, p, HUBER if number else np.inf)
+        evidence = weigh(record, R_va, lags, noise, p, HUBER if number or informed else np.inf)
         diagonal, mean = prior(noise, lags)
         gram = evidence.gram.sum((0, 1))
         p = np.linalg.solve(gram[1:, 1:] + np.diag(diagonal + 1e-6), diagonal * mean - gram[1:, 0])
         turn = p[TURN] * min(1.0, _MAX_TURN / max(float(np.linalg.norm(p[TURN])), 1e-9))
         shift = p[[SPEED_LAG, COURSE_LAG]]
         settled = float(np.linalg.norm(turn)) < 3e-4 and float(np.abs(shift).max()) < 0.01
-        if number and settled:
+        if settled and (number or informed):
             break
         R_va = Rotation.from_rotvec(turn).as_matrix() @ R_va
         lags = (float(np.clip(lags[0] + shift[0], 0.0, MAX_LAG)), float(np.clip(lags[1] + shift[1], 0.0, MAX_LAG)))

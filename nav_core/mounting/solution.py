@@ -46,7 +46,7 @@ def solve(record: Record, noise: Noise) -> Solution:
     if part is record and suited == noise:
         return Solution(first, rough, rough)
     better = first._replace(R_va=rough.R_va, speed_lag=lags[0], course_lag=lags[1])
-    return Solution(first, rough, refine(record, better, suited))
+    return Solution(first, rough, refine(record, better, suited, rough.p))
 
 
 def excerpt(record: Record, length: float) -> Record:

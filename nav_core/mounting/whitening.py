@@ -81,6 +81,7 @@ def _whiten(
     block: Integers,
     p: Floats,
     limit: float,
+    restart: bool,
     gram: Floats,
     count: Floats,
     log_det: Floats,
@@ -88,10 +89,16 @@ def _whiten(
     steps, n = Phi.shape[0], Phi.shape[1]
     k, c = Y.shape[1], Y.shape[2]
     X, X1 = np.zeros((n, c)), np.zeros((n, c))
-    X[:, 0] = x0
-    P, M = P0.copy(), np.zeros((n, n))
+    P, M = np.zeros((n, n)), np.zeros((n, n))
     e, PH = np.zeros(c), np.zeros(n)
     for i in range(steps):
+        if i == 0 or (restart and block[i] != block[i - 1]):
+            for a in range(n):
+                for j in range(c):
+                    X[a, j] = 0.0
+                X[a, 0] = x0[a]
+                for b in range(n):
+                    P[a, b] = P0[a, b]
         for a in range(n):
             for j in range(c):
                 X1[a, j] = 0.0
@@ -168,7 +175,14 @@ _whiten_fast = kernel(_whiten)
 
 
 def whiten(
-    channel: Channel, block: Integers, blocks: int, p: Floats, *, limit: float = np.inf, compiled: bool = True
+    channel: Channel,
+    block: Integers,
+    blocks: int,
+    p: Floats,
+    *,
+    limit: float = np.inf,
+    restart: bool = False,
+    compiled: bool = True,
 ) -> Evidence:
     """Run the whitening filter over one channel.
 
@@ -182,6 +196,8 @@ def whiten(
         Where all unknowns stand now; only the robust weights and the wrapping of angles use it.
     limit : float
         Innovations beyond this many sigmas are weighted down (Huber); infinite for none.
+    restart : bool
+        Begin every stretch anew from the initial state: stretches that know nothing of each other.
     compiled : bool
         False runs the same steps as plain Python, for tests.
 
@@ -193,7 +209,7 @@ def whiten(
     gram, count, log_det = np.zeros((blocks, k, c, c)), np.zeros((blocks, k)), np.zeros((blocks, k))
     run = _whiten_fast if compiled else _whiten
     arrays = [np.ascontiguousarray(array) for array in channel[:-1]]  # one compiled form for every layout
-    run(*arrays, block, p[channel.unknowns], float(limit), gram, count, log_det)
+    run(*arrays, block, p[channel.unknowns], float(limit), restart, gram, count, log_det)
     gram += np.swapaxes(np.tril(gram, -1), -1, -2)
     place = np.concatenate([[0], 1 + channel.unknowns])
     everything = np.zeros((blocks, k, 1 + p.size, 1 + p.size))

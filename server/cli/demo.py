@@ -27,6 +27,7 @@ def demo(args: argparse.Namespace) -> int:
     # The children read the same environment.
     os.environ.setdefault("SCATOLA_DATA_DIR", str(platformdirs.user_data_path("scatola", appauthor=False) / "demo"))
     os.environ.setdefault("SCATOLA_ADMIN_TOKEN", secrets.token_urlsafe(32))
+    os.environ.setdefault("SCATOLA_LOG_LEVEL", "warning")
     os.environ.pop("SCATOLA_BROKER_URL", None)
 
     def fleet_child(url: str) -> list[Child]:

@@ -31,7 +31,7 @@ def worker(args: argparse.Namespace) -> int:
     from server.telemetry import configure_logging
 
     settings = Settings()
-    configure_logging(as_json=settings.log_json)
+    configure_logging(as_json=settings.log_json, level=settings.log_level)
     run(settings)
     return 0
 
@@ -43,7 +43,7 @@ def viewer(args: argparse.Namespace) -> int:
     from server.view3d.viewer import run_viewer
 
     settings = Settings()
-    configure_logging(as_json=settings.log_json)
+    configure_logging(as_json=settings.log_json, level=settings.log_level)
     stop = threading.Event()
     follow_parent(stop.set)
     run_viewer(settings, host=args.host, port=args.port, stop=stop)

@@ -20,6 +20,7 @@ from sqlalchemy import delete, insert, select
 from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
+from nav_core.mounting import whole_drive
 from server.database import Database
 from server.formats.columns import Columns
 from server.formats.drive import to_drive
@@ -73,7 +74,7 @@ class Read:
 
 
 def bring_up_to_date(
-    database: Database, store: BlobStore, device_id: str, *, clock: Clock, estimator: Estimator | None = None
+    database: Database, store: BlobStore, device_id: str, *, clock: Clock, estimator: Estimator = whole_drive.estimate
 ) -> Outcome:
     """Work off a device's next batches, and its review when that is due."""
     known: dict[str, Read] = {}
@@ -82,7 +83,7 @@ def bring_up_to_date(
             situation = reads.read_situation(session, device_id, BATCHES)
         if situation is None:
             return Outcome()
-        work = Round(database, situation, clock(), estimator or _whole_drive())
+        work = Round(database, situation, clock(), estimator)
         if not situation.batches and not work.review_due:
             return Outcome()
         for batch in situation.batches:
@@ -92,12 +93,6 @@ def bring_up_to_date(
         if work.write():
             return outcome
     raise ContendedError(f"device {device_id} changed during {ATTEMPTS} attempts")
-
-
-def _whole_drive() -> Estimator:
-    from nav_core.mounting import whole_drive
-
-    return whole_drive.estimate
 
 
 def read_batch(store: BlobStore, batch: Batch) -> Read:

@@ -213,7 +213,7 @@ def headline(view: MountingView) -> str:
     """The one line that stays in the smallest frame."""
     if view.state == "good" and view.sigma is not None:
         return f"{view.headline} · ±{np.degrees(max(view.sigma)):.1f}°"
-    return f"{view.headline} · {view.percent} %"
+    return view.headline if view.state == "alarm" else f"{view.headline} · {view.percent} %"
 
 
 def panel_html(view: MountingView) -> str:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 
+import httpx
 import pytest
 import sqlalchemy as sa
 
@@ -23,9 +25,7 @@ def test_it_is_alive_and_ready(client):
     assert (answer.status_code, answer.json()) == (200, {"status": "ok", "failures": {}})
 
 
-def test_readiness_names_what_is_not(settings, tmp_path, clock, serve, database):
-    import httpx
-
+def test_readiness_names_what_is_not(settings, clock, serve, database):
     with database.transaction() as session:
         session.execute(sa.text("UPDATE alembic_version SET version_num = 'old'"))
     (settings.data_dir / "blobs").write_text("in the way of the folder")
@@ -41,8 +41,6 @@ def test_readiness_names_what_is_not(settings, tmp_path, clock, serve, database)
 
 
 def test_a_database_that_does_not_answer(settings, tmp_path, clock, serve):
-    import httpx
-
     folder = tmp_path / "other"
     folder.mkdir()
     app = create_app(settings.model_copy(update={"data_dir": folder}), clock=clock)
@@ -107,8 +105,6 @@ def test_ordinary_bodies_stay_small(admin):
 
 
 def test_a_failure_inside_is_a_problem_without_its_details(app, serve):
-    import httpx
-
     @app.get("/healthz/broken")
     def broken():
         raise RuntimeError("secret detail")
@@ -145,7 +141,7 @@ def test_metrics_count_by_template(client, admin, make_device):
     assert "/no/such/place" not in text
 
 
-def test_logs_hold_no_token_query_or_body(settings, clock, serve, capfd):
+def test_logs_hold_no_token_query_or_body(settings):
     """In a process of its own, as `serve` configures it."""
     program = """
 import httpx, threading, time, uvicorn, sys
@@ -164,9 +160,9 @@ httpx.post(url + "/api/v1/auth/session", json={"code": "very-secret-token"})
 httpx.get(url + "/api/v1/devices/secret-path", headers={"Authorization": "Bearer very-secret-token"})
 server.should_exit = True; thread.join()
 """
-    run = subprocess.run([sys.executable, "-c", program, str(settings.data_dir)], capture_output=True, text=True, check=True)
-    import json
-
+    run = subprocess.run(
+        [sys.executable, "-c", program, str(settings.data_dir)], capture_output=True, text=True, check=True
+    )
     lines = [json.loads(line) for line in run.stderr.splitlines() if line.startswith("{")]
     requests = [line for line in lines if line["event"] == "request"]
     assert [(line["route"], line["status"]) for line in requests] == [
@@ -175,7 +171,9 @@ server.should_exit = True; thread.join()
         ("/api/v1/devices/{device_id}", 404),
     ]
     assert all(line["request_id"] for line in requests)
-    own = "\n".join(line for line in run.stderr.splitlines() if '"logger": "httpx"' not in line and "HTTP Request" not in line)
+    own = "\n".join(
+        line for line in run.stderr.splitlines() if '"logger": "httpx"' not in line and "HTTP Request" not in line
+    )
     assert "secret" not in own
 
 

@@ -140,9 +140,10 @@ def test_columns_are_read_only_and_stored_small():
     force = {name: np.round(rng.normal(0.0, 0.4, count) / 0.0048) * 0.0048 for name in ("fx", "fy", "fz")}
     stored = Columns({"t": np.round(np.arange(count) * 0.005, 3), **force}).to_parquet()
     assert len(stored) / count < 8.0
-    assert Columns.from_parquet(stored).column_sha256() == Columns(
-        {"t": np.round(np.arange(count) * 0.005, 3), **force}
-    ).column_sha256()
+    assert (
+        Columns.from_parquet(stored).column_sha256()
+        == Columns({"t": np.round(np.arange(count) * 0.005, 3), **force}).column_sha256()
+    )
 
 
 @pytest.mark.parametrize(
@@ -306,11 +307,13 @@ def test_parquet_bombs_stop_before_they_unpack(compression, version):
 def test_parquet_pages_are_believed_rather_than_the_footer():
     """A file whose footer promises ten rows and whose page unpacks to megabytes."""
     rows = 500_000
-    long_body = parquet(pa.table({"t": np.zeros(rows)}), compression="zstd", use_dictionary=False, data_page_size=1 << 30)
+    long_body = parquet(
+        pa.table({"t": np.zeros(rows)}), compression="zstd", use_dictionary=False, data_page_size=1 << 30
+    )
     metadata = pq.ParquetFile(pa.BufferReader(long_body)).metadata.row_group(0).column(0)
     begin, size = metadata.data_page_offset, metadata.total_compressed_size
     page = long_body[begin : begin + size]
-    short = parquet(pa.table({"t": np.zeros(10)}), compression="zstd", use_dictionary=False)
+    short = parquet(pa.table({"t": np.zeros(10)}), **options)
     footer_size = struct.unpack("<I", short[-8:-4])[0]
     chunk = pq.ParquetFile(pa.BufferReader(short)).metadata.row_group(0).column(0)
     footer = short[-8 - footer_size : -8]
@@ -432,7 +435,13 @@ def test_a_zstd_window_beyond_the_standard_is_refused():
 def test_media_types_and_encodings_that_are_known():
     assert media_type_of("Application/JSON; charset=UTF-8") == "application/json"
     assert media_type_of('text/csv; header=present; charset="utf-8"') == "text/csv"
-    assert [encoding_of(name) for name in ("", "identity", "GZIP", "x-gzip", "zstd")] == ["", "", "gzip", "gzip", "zstd"]
+    assert [encoding_of(name) for name in ("", "identity", "GZIP", "x-gzip", "zstd")] == [
+        "",
+        "",
+        "gzip",
+        "gzip",
+        "zstd",
+    ]
     for bad in ("", "text/plain", "application/vnd.scatola.batch", "text/csv; charset=utf-16"):
         with pytest.raises(UnsupportedMediaError):
             media_type_of(bad)

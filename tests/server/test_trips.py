@@ -1,7 +1,9 @@
 from __future__ import annotations
 
+import datetime as dt
 import json
 import math
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -17,24 +19,27 @@ from server.trips.track import REST_S, Track, TrackState, distance, seconds
 HASH = "0" * 64
 
 
-def fold(gnss: Gnss, cuts=(), state=None) -> Track:
-    """Fold fixes cut into batches at these box times, the state going through JSON each time."""
-    edges = [-math.inf, *cuts, math.inf]
-    pieces, over = [], []
-    state = state or TrackState()
-    for sequence, (low, high) in enumerate(zip(edges, edges[1:], strict=False)):
-        track = Track(TrackState.from_json(json.loads(json.dumps(state.to_json())) if sequence else {}))
-        keep = (gnss.t >= low) & (gnss.t < high)
-        part = Gnss(*(getattr(gnss, name)[keep] for name in ("t", "lat", "lon", "alt", "speed", "course", "fix")))
-        track.add(sequence, HASH, part)
+def fold(gnss: Gnss, cuts=()) -> Track:
+    """Fold fixes cut into batches at these box times, the state going through JSON in between."""
+    state, pieces = TrackState(), []
+    for sequence, (low, high) in enumerate(pairwise([-math.inf, *cuts, math.inf])):
+        track = Track(TrackState.from_json(json.loads(json.dumps(state.to_json()))))
+        track.add(sequence, HASH, between(gnss, low, high))
         for piece in track.pieces:
             if piece.continued:
                 piece.points[:0] = pieces.pop().points
             pieces.append(piece)
         state = track.state
-        over.append(track)
-    over[-1].pieces[:] = pieces
-    return over[-1]
+    track.pieces[:] = pieces
+    return track
+
+
+def between(gnss: Gnss, low: float, high: float) -> Gnss:
+    return chosen(gnss, (gnss.t >= low) & (gnss.t < high))
+
+
+def chosen(gnss: Gnss, keep) -> Gnss:
+    return Gnss(*(getattr(gnss, name)[keep] for name in ("t", "lat", "lon", "alt", "speed", "course", "fix")))
 
 
 def test_a_trip_begins_with_movement_and_ends_where_the_vehicle_stopped():
@@ -64,8 +69,7 @@ def test_a_gap_as_long_as_a_rest_ends_a_trip_and_a_shorter_one_is_bridged_by_pos
     gnss = drive_of(Leg(400, 10.0)).gnss
 
     def without(low, high):
-        keep = (gnss.t < low) | (gnss.t >= high)
-        return Gnss(*(getattr(gnss, name)[keep] for name in ("t", "lat", "lon", "alt", "speed", "course", "fix")))
+        return chosen(gnss, (gnss.t < low) | (gnss.t >= high))
 
     (tunnel,) = fold(without(100.0, 160.0)).pieces
     assert tunnel.totals.distance_m == pytest.approx(3990.0, rel=0.01)
@@ -182,7 +186,7 @@ def test_other_peoples_trips_are_not_found(world, admin, client):
     with world.database.transaction() as session:
         from server.models import Organisation
 
-        other = Organisation(name="other", created_at=world.clock())
+        other = Organisation(name="other", created_at=world.clock() + dt.timedelta(days=1))
         session.add(other)
         session.flush()
         session.get_one(Trip, first.id).organisation_id = other.id

@@ -243,6 +243,7 @@ def put_result(session, device: Device, result: dict, **columns: object) -> None
     announce(session, "installation", at=NOW, organisation_id=device.organisation_id, device_id=device.id)
 
 
+@pytest.mark.both_databases
 def test_the_view_is_the_open_installation_or_nothing_yet(database):
     device = add_device(database)
     with database.transaction() as session:
@@ -259,6 +260,7 @@ def test_the_view_is_the_open_installation_or_nothing_yet(database):
         assert load(session, "0" * 32, now=NOW) is None
 
 
+@pytest.mark.both_databases
 def test_a_ticket_opens_one_view_for_ten_minutes(database):
     device, other = add_device(database), add_device(database)
     with database.transaction() as session:
@@ -329,6 +331,7 @@ def test_idle_servers_stop_and_give_back_their_threads_and_files(database):
         assert len(list(Path("/proc/self/fd").iterdir())) <= before[1] + 1
 
 
+@pytest.mark.both_databases
 def test_a_change_row_brings_the_scene_up_to_date(database, monkeypatch):
     shown: list[MountingView] = []
     monkeypatch.setattr(MountingScene, "show", lambda _, view: shown.append(view))

@@ -36,10 +36,16 @@ function connect() {
       /** @type {Change} */
       const change = JSON.parse(event.data);
       document.dispatchEvent(new CustomEvent("scatola:change", { detail: { kind, ...change } }));
-      refreshSoon();
+      if (concerns(change)) refreshSoon();
     });
   }
   addEventListener("pagehide", () => source.close());
+}
+
+/** Whether the page is about what changed; a page without a subject is about everything. @param {Change} change */
+function concerns(change) {
+  const about = document.body.dataset.about?.split(" ").filter(Boolean) ?? [];
+  return about.length === 0 || about.some((id) => id === change.device_id || id === change.vehicle_id);
 }
 
 /** @param {"on" | "off"} state @param {string} words */

@@ -1,4 +1,4 @@
-// <signal-chart device="id" [mounted] [trip-from trip-to]>: speed and specific force over one time axis.
+// <signal-chart device="id" mounting="id of that part" last="id of the trips' part">: speed and specific force over one time axis.
 // Dragging zooms and fetches again at the new resolution; a double click goes back.
 
 import uPlot from "../vendor/uplot/uplot.mjs";
@@ -18,18 +18,18 @@ class SignalChart extends HTMLElement {
   /** @type {View} */ #view = { seconds: 60 };
   /** @type {View[]} */ #back = [];
   /** @type {"a" | "v"} */ #frame = "a";
+  /** Whether the reader has chosen the axes; until then they are the vehicle's as soon as it is known how the box sits. */
+  #chosen = false;
   /** @type {{speed: uPlot, force: uPlot} | undefined} */ #plots;
   /** @type {AbortController | undefined} */ #asking;
   /** @type {ReturnType<typeof setTimeout> | undefined} */ #later;
   /** @type {Signals | undefined} */ #signals;
 
   connectedCallback() {
-    this.#frame = this.hasAttribute("mounted") ? "v" : "a";
-    const trip = this.hasAttribute("trip-from");
     this.innerHTML = `
       <div class="chart-bar"><h2>Signals</h2>
         <div class="choice" data-choice="view" role="group" aria-label="Time span">
-          <button type="button" value="60" aria-pressed="true">Last minute</button><button type="button" value="600">10 minutes</button><button type="button" value="trip"${trip ? "" : " disabled"}>Last trip</button>
+          <button type="button" value="60" aria-pressed="true">Last minute</button><button type="button" value="600">10 minutes</button><button type="button" value="trip" disabled>Last trip</button>
         </div>
         <div class="choice" data-choice="frame" role="group" aria-label="Axes">
           <button type="button" value="v">Vehicle axes</button><button type="button" value="a">Box axes</button>
@@ -38,8 +38,9 @@ class SignalChart extends HTMLElement {
       <p class="chart-head"><b>Speed <span class="unit">km/h</span></b></p><div class="plot" data-plot="speed"></div>
       <p class="chart-head"><b>Specific force <span class="unit">m/s²</span></b>${AXIS.map((axis, i) => `<span class="chart-key"><span class="axis ${axis}"></span><span data-key="${i}"></span></span>`).join("")}</p><div class="plot" data-plot="force"></div>
       <p class="chart-words" role="status"></p>`;
-    this.#pressed("frame", this.#frame);
+    this.#follow();
     this.addEventListener("click", this.#onClick);
+    document.addEventListener("scatola:parts", this.#onParts);
     document.addEventListener("scatola:change", this.#onChange);
     new ResizeObserver(() => this.#resize()).observe(this);
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { this.#discard(); this.#draw(); });
@@ -48,6 +49,7 @@ class SignalChart extends HTMLElement {
 
   disconnectedCallback() {
     document.removeEventListener("scatola:change", this.#onChange);
+    document.removeEventListener("scatola:parts", this.#onParts);
     this.#asking?.abort();
     this.#discard();
   }
@@ -58,18 +60,40 @@ class SignalChart extends HTMLElement {
     const choice = button?.closest("[data-choice]")?.getAttribute("data-choice");
     if (!button || !choice) return;
     this.#pressed(choice, button.value);
-    if (choice === "frame") this.#frame = button.value === "v" ? "v" : "a";
-    else {
+    if (choice === "frame") {
+      this.#chosen = true;
+      this.#frame = button.value === "v" ? "v" : "a";
+    } else {
       this.#back = [];
       this.#view = button.value === "trip" ? this.#trip() : { seconds: Number(button.value) };
     }
     void this.#fetch();
   };
 
+  /** @param {"mounting" | "last"} attribute */
+  #part(attribute) {
+    return document.getElementById(this.getAttribute(attribute) ?? "")?.dataset ?? {};
+  }
+
+  get #mounted() { return this.#part("mounting").known === "yes"; }
+
   /** @returns {View} */
   #trip() {
-    return { from: this.getAttribute("trip-from") ?? "", to: this.getAttribute("trip-to") ?? "" };
+    const { from = "", to = "" } = this.#part("last");
+    return { from, to };
   }
+
+  /** Offer what the page knows by now. @returns whether the axes changed */
+  #follow() {
+    const trip = /** @type {HTMLButtonElement} */ (this.querySelector('button[value="trip"]'));
+    trip.disabled = !this.#part("last").from;
+    const before = this.#frame;
+    if (!this.#chosen) this.#frame = this.#mounted ? "v" : "a";
+    this.#pressed("frame", this.#frame);
+    return this.#frame !== before;
+  }
+
+  #onParts = () => { if (this.#follow()) void this.#fetch(); };
 
   /** New data of this box, while the chart follows the newest. @param {Event} event */
   #onChange = (event) => {
@@ -102,7 +126,6 @@ class SignalChart extends HTMLElement {
     if (!this.#signals) return;
     const { header, series } = this.#signals;
     const empty = header.groups.every((group) => group.count === 0);
-    this.#pressed("frame", header.frame);
     this.querySelectorAll("[data-key]").forEach((key, i) => { key.textContent = header.frame === "v" ? DIRECTIONS[i] ?? "" : "xyz"[i] ?? ""; });
     this.#plots ??= { speed: this.#plot("speed", [{ stroke: colour("track") }]), force: this.#plot("force", AXIS.map((axis) => ({ stroke: colour(axis) }))) };
     const t0 = Date.parse(header.t0) / 1000;
@@ -115,7 +138,7 @@ class SignalChart extends HTMLElement {
 
   /** @param {import("./signals.js").Header} header */
   #words(header) {
-    const missing = header.frame === "a" && !this.hasAttribute("mounted") ? "Box axes: the mounting is not known yet. " : "";
+    const missing = header.frame === "a" && !this.#mounted ? "Box axes: the mounting is not known yet. " : "";
     const gaps = header.gaps.length ? `${header.gaps.length} ${header.gaps.length === 1 ? "gap" : "gaps"} in the data. ` : "";
     return `${missing}${gaps}Drag to zoom${this.#back.length ? ", double click to go back" : ""}.`;
   }

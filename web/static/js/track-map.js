@@ -61,8 +61,8 @@ class TrackMap extends HTMLElement {
   }
 
   #update = async () => {
-    const { track = "", version = "" } = document.getElementById(this.getAttribute("last") ?? "")?.dataset ?? {};
-    const key = `${track} ${version}`;
+    const { track = "", to = "" } = document.getElementById(this.getAttribute("last") ?? "")?.dataset ?? {};
+    const key = `${track} ${to}`;
     if (!track) { this.#note("Not yet: no trip to show"); return; }
     if (key === this.#drawn) return;
     this.#drawn = key;

@@ -1,0 +1,171 @@
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from server.jobs import supervise
+from server.jobs.supervise import Child, Supervisor
+
+OBEDIENT = """
+import os, sys
+from pathlib import Path
+log = Path(sys.argv[1])
+with log.open("a") as file: file.write(f"start {os.getpid()}\\n")
+while True:
+    data = os.read(0, 100)
+    with log.open("a") as file: file.write(f"{'wake' if data else 'end'} {os.getpid()}\\n")
+    if not data: break
+"""
+STUBBORN = "import signal; signal.signal(signal.SIGTERM, signal.SIG_IGN)\n" + OBEDIENT
+
+
+def until(condition, seconds=20.0) -> None:
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline, "did not come about in time"
+        time.sleep(0.01)
+
+
+@pytest.fixture
+def log(tmp_path) -> Path:
+    path = tmp_path / "log"
+    path.touch()
+    return path
+
+
+def words(log: Path) -> list[str]:
+    return [line.split()[0] for line in log.read_text().splitlines()]
+
+
+def child(log: Path, code: str = OBEDIENT, name: str = "worker") -> Child:
+    return Child(name, [sys.executable, "-c", code, str(log)])
+
+
+@pytest.fixture
+def supervise_all():
+    running = []
+
+    def start(*children: Child) -> Supervisor:
+        supervisor = Supervisor(children)
+        running.append(supervisor)
+        supervisor.start()
+        return supervisor
+
+    yield start
+    for supervisor in running:
+        supervisor.stop(1.0)
+
+
+def is_alive(pid: int) -> bool:
+    try:
+        state = Path(f"/proc/{pid}/stat").read_text()
+    except FileNotFoundError:
+        return False
+    return state.rsplit(")", 1)[1].split()[0] != "Z"
+
+
+def test_a_child_is_woken_through_its_pipe(log, supervise_all):
+    supervisor = supervise_all(child(log), child(log.with_name("other"), name="viewer"))
+    until(lambda: "start" in words(log))
+    supervisor.wake("some device")
+    until(lambda: "wake" in words(log))
+
+
+def test_a_full_pipe_and_a_dead_child_do_not_hold_up_the_waker(log, supervise_all):
+    sleeper = Child("worker", [sys.executable, "-c", "import time; time.sleep(60)"])
+    supervisor = supervise_all(sleeper)
+    for _ in range(70_000):
+        supervisor.wake("some device")
+    os.kill(sleeper.pid, signal.SIGKILL)
+    supervisor.wake("some device")
+
+
+def test_a_child_that_dies_is_started_again_after_a_growing_pause(log, supervise_all, monkeypatch):
+    monkeypatch.setattr(supervise, "RESTART_S", (0.05, 0.2))
+    worker = child(log)
+    supervise_all(worker)
+    for deaths in range(1, 4):
+        until(lambda deaths=deaths: words(log).count("start") == deaths and worker.pid is not None)
+        os.kill(worker.pid, signal.SIGKILL)
+    until(lambda: words(log).count("start") == 4)
+    assert worker._deaths == 3
+
+
+def test_the_pause_doubles_up_to_its_limit_and_begins_anew_after_a_healthy_life():
+    dying = Child("worker", [sys.executable, "-c", ""])
+    now, pauses = 0.0, []
+    for _ in range(9):
+        dying.look(now)
+        dying._process.wait()
+        dying.look(now)
+        pauses.append(dying._restart_at - now)
+        now = dying._restart_at
+    assert pauses == [0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 30.0, 30.0, 30.0]
+    dying.look(now)
+    dying._process.wait()
+    dying.look(now + 61.0)
+    assert dying._restart_at == now + 61.5
+
+
+def test_stopping_ends_all_and_starts_none_again(log, supervise_all):
+    both = [child(log), child(log, name="viewer")]
+    supervisor = supervise_all(*both)
+    until(lambda: words(log).count("start") == 2)
+    pids = [one.pid for one in both]
+    supervisor.stop(5.0)
+    assert not any(is_alive(pid) for pid in pids)
+    assert [one.pid for one in both] == [None, None]
+    assert words(log).count("start") == 2
+
+
+def test_a_child_that_does_not_stop_is_killed(log, supervise_all):
+    stubborn = child(log, STUBBORN)
+    supervisor = supervise_all(stubborn)
+    until(lambda: "start" in words(log))
+    pid, began = stubborn.pid, time.monotonic()
+    supervisor.stop(0.3)
+    assert time.monotonic() - began < 5.0
+    assert not is_alive(pid)
+
+
+def test_children_end_by_themselves_when_the_supervisor_is_killed(log):
+    code = (
+        "import sys, time\n"
+        "from server.jobs.supervise import Child, Supervisor\n"
+        "Supervisor([Child('worker', [sys.executable, '-c', sys.argv[2], sys.argv[1]])]).start()\n"
+        "time.sleep(60)\n"
+    )
+    parent = subprocess.Popen([sys.executable, "-c", code, str(log), OBEDIENT])
+    until(lambda: "start" in words(log))
+    pid = int(log.read_text().split()[1])
+    parent.kill()
+    parent.wait()
+    until(lambda: not is_alive(pid))
+    assert words(log)[-1] == "end"
+
+
+def test_a_child_that_is_not_woken_follows_its_parent_too(log):
+    code = (
+        "import os, sys, threading\n"
+        "from server.jobs.supervise import follow_parent\n"
+        "gone = threading.Event()\n"
+        "follow_parent(gone.set)\n"
+        "sys.exit(0 if gone.wait(20.0) else 1)\n"
+    )
+    viewer = Child("viewer", [sys.executable, "-c", code])
+    viewer.look(0.0)
+    process = viewer._process
+    process.stdin.close()
+    assert process.wait(20.0) == 0
+
+
+def test_what_is_not_supervised_has_no_parent_to_follow(monkeypatch):
+    monkeypatch.delenv(supervise.SUPERVISED, raising=False)
+    assert supervise.parent_fd() is None
+    supervise.follow_parent(pytest.fail)
