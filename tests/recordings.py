@@ -37,13 +37,18 @@ def _rows(path: Path) -> tuple[list[str], np.ndarray]:
     return header, np.array(values)
 
 
+def _ordered(t: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    keep = in_order(t).keep
+    return t[keep], values[keep]
+
+
 def corolla() -> Drive:
     """Phone on the dash, x forward, y left, z up: R_va = diag(1, -1, -1), by eye."""
     base = folder("corolla-phone-aligned")
     _, accel = _rows(base / "accel.csv")
     _, gps = _rows(base / "gps.csv")
-    t, f = in_order(1e-3 * accel[:, 0], accel[:, 1:4])
-    tg, fixes = in_order(1e-3 * gps[:, 0], gps[:, 1:])
+    t, f = _ordered(1e-3 * accel[:, 0], accel[:, 1:4])
+    tg, fixes = _ordered(1e-3 * gps[:, 0], gps[:, 1:])
     return Drive(
         Inertial(t=t, f=f),
         Gnss(
@@ -64,8 +69,8 @@ def comma2k19() -> Drive:
     base = folder("comma2k19-rav4-1min")
     _, accel = _rows(base / "imu_accel.csv")
     _, gnss = _rows(base / "gnss_ublox.csv")
-    t, f = in_order(accel[:, 0], accel[:, 1:4])
-    tg, fixes = in_order(gnss[:, 0], gnss[:, 1:])
+    t, f = _ordered(accel[:, 0], accel[:, 1:4])
+    tg, fixes = _ordered(gnss[:, 0], gnss[:, 1:])
     return Drive(
         Inertial(t=t, f=f),
         Gnss(
@@ -119,7 +124,7 @@ def loose_phone() -> Drive:
         ],
         axis=1,
     )
-    t, columns = in_order(t, np.column_stack([f, fixes]))
+    t, columns = _ordered(t, np.column_stack([f, fixes]))
     f, fixes = columns[:, :3], columns[:, 3:]
     fresh = np.concatenate([[True], np.any(np.diff(fixes[:, :2], axis=0) != 0.0, axis=1)])
     fixes, tg = fixes[fresh], t[fresh]

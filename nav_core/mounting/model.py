@@ -25,6 +25,7 @@ import numpy as np
 from nav_core.mounting.whitening import Channel
 from nav_core.records import Gnss
 from nav_core.signal import Ticks
+from nav_core.timebase import stale
 from nav_core.typing import Flags, Floats, Integers
 
 GRAVITY = 9.80665
@@ -106,27 +107,31 @@ class Fixes(NamedTuple):
     """m, NaN where unknown."""
 
 
-def usable_fixes(gnss: Gnss, *, spacing: float = 0.18) -> Fixes:
-    """Fixes that carry news, at least `spacing` seconds apart.
+SPACING = 0.18
+LONG = 1200.0
+LONG_SPACING = 0.45
+"""Least time between fixes, s, up to a duration of `LONG` seconds and beyond: a long drive has fixes to spare."""
+
+
+def usable_fixes(gnss: Gnss) -> Fixes:
+    """Fixes that carry news, without crowding: half of the error of velocity is common to neighbours.
 
     Parameters
     ----------
     gnss : Gnss
-    spacing : float
-        Closer fixes are left out: half of the error of velocity is common to neighbours, s.
 
     Returns
     -------
     Fixes
     """
-    good = gnss.fix & np.isfinite(gnss.speed)
+    good = gnss.fix & np.isfinite(gnss.speed) & ~stale(gnss)
     t, speed, course, alt = gnss.t[good], gnss.speed[good], gnss.course[good], gnss.alt[good]
-    if t.size == 0:
-        return Fixes(t, speed, course, alt)
-    if np.median(np.diff(t)) < spacing if t.size > 1 else False:
-        cell = np.floor(t / (spacing * 1.1)).astype(np.int64)
-        keep = np.concatenate([[True], np.diff(cell) > 0])
-        t, speed, course, alt = t[keep], speed[keep], course[keep], alt[keep]
+    if t.size > 1:
+        spacing = SPACING if t[-1] - t[0] < LONG else LONG_SPACING
+        if np.median(np.diff(t)) < spacing:
+            cell = np.floor(t / spacing).astype(np.int64)
+            keep = np.concatenate([[True], np.diff(cell) > 0])
+            t, speed, course, alt = t[keep], speed[keep], course[keep], alt[keep]
     course = np.where(speed > FOLLOW_SPEED, course, np.nan)
     return Fixes(t, speed, course, alt)
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from nav_core.mounting.confidence import FLOOR, assess
 from nav_core.mounting.model import Noise, Record
-from nav_core.mounting.quality import excitation
+from nav_core.mounting.quality import excitation, fits_a_car
 from nav_core.mounting.refine import BLOCK, HUBER, Fit, weigh
 from nav_core.mounting.solution import Solution, between, solve
 from nav_core.rotation import error_between
@@ -23,7 +23,7 @@ from nav_core.typing import Floats
 LEAST_SIDE = 25.0
 """Shortest side of a move that can be judged, s of record."""
 
-LEAST_MOVING = 60.0
+LEAST_MOVING = 30.0
 """A change of heading alone needs this much driving on either side, s."""
 
 LEAST_ANGLE = np.radians(6.0)
@@ -131,7 +131,7 @@ def _confirmed(record: Record, when: float, noise: Noise) -> tuple[Record, Recor
             break
         when = sharper
     sides = _sides(record, when)
-    return sides if sides is not None and _differ(sides, before.fit, after.fit) else None
+    return sides if sides is not None and _differ(sides, before, after) else None
 
 
 def _sides(record: Record, when: float) -> tuple[Record, Record] | None:
@@ -142,20 +142,23 @@ def _sides(record: Record, when: float) -> tuple[Record, Record] | None:
     return sides if all(side.fixes.t.size >= 5 and side.t.size >= 50 for side in sides) else None
 
 
-def _differ(sides: tuple[Record, Record], one: Fit, other: Fit) -> bool:
-    """Whether two mountings differ by more than their doubt.
+def _differ(sides: tuple[Record, Record], before: Solution, after: Solution) -> bool:
+    """Whether the mountings of two sides differ by more than their doubt.
 
-    A minute without much traffic can hold a heading that is wrong and sure of itself; there tilt
-    alone decides.
+    Half a minute without much traffic can hold a heading that is wrong and sure of itself; where the
+    closed form does not see a car, tilt alone decides.
     """
-    e = error_between(other.R_va, one.R_va)
+    e = error_between(after.fit.R_va, before.fit.R_va)
     doubt = np.zeros((3, 3))
-    for fit in (one, other):
+    heading = True
+    for side, solution in zip(sides, (before, after), strict=True):
         # The roads' mean bank is common to both sides.
-        covariance = assess(fit).covariance
-        covariance[0, 0] -= fit.noise.crown**2
+        covariance = assess(solution.fit).covariance
+        covariance[0, 0] -= solution.fit.noise.crown**2
         doubt += covariance + FLOOR**2 * np.eye(3)
-    axes = slice(0, 3) if min(excitation(side).moving for side in sides) > LEAST_MOVING else slice(0, 2)
+        offered = excitation(side)
+        heading &= offered.moving > LEAST_MOVING and fits_a_car(solution.start, offered)
+    axes = slice(0, 3) if heading else slice(0, 2)
     e, doubt = e[axes], doubt[axes, axes]
     return bool(np.linalg.norm(e) > LEAST_ANGLE and e @ np.linalg.solve(doubt, e) > SURE)
 

@@ -132,9 +132,14 @@ def before_fit(record: Record, offered: Excitation) -> Verdict | None:
     return None
 
 
-def fits_a_car(start: Start) -> bool:
-    """Whether the force along the travel is what the receiver's speed asks for."""
-    return abs(start.strength - 1.0) < max(0.4, 3.0 * start.sigma)
+def fits_a_car(start: Start, offered: Excitation) -> bool:
+    """Whether the force along the travel is what the receiver's speed asks for.
+
+    The closed form takes slopes for acceleration and so comes out short where there is little of
+    the latter; where there is much, what is missing is the car.
+    """
+    eventful = offered.along + offered.across > 0.3 * offered.moving
+    return abs(start.strength - 1.0) < max(0.2 if eventful else 0.5, 3.0 * start.sigma)
 
 
 def after_fit(start: Start, found: Confidence, offered: Excitation) -> Verdict:
@@ -157,7 +162,7 @@ def after_fit(start: Start, found: Confidence, offered: Excitation) -> Verdict:
     progress = _progress(sigma, offered)
     if sigma.max() > USELESS:
         return Verdict("insufficient", min(progress, 0.2), reliable, _missing(sigma, offered))
-    if not fits_a_car(start):
+    if not fits_a_car(start, offered):
         return Verdict("insufficient", min(progress, 0.2), False, (reason("mismatch"),))
     contradiction = bool(found.scatter.max() > 40.0)
     if sigma.max() < CONVERGED and reliable and not contradiction:

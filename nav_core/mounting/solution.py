@@ -11,7 +11,7 @@ from nav_core.mounting.closed_form import Start, start
 from nav_core.mounting.model import Fixes, Noise, Record
 from nav_core.mounting.refine import HUBER, Fit, refine
 
-EXCERPT = 600.0
+EXCERPT = 400.0
 """Length of the stretch that start and noise levels are taken from, s."""
 
 

@@ -28,6 +28,8 @@ from nav_core.signal import Ticks
 LAG_KNOWN = 0.25
 """A lag with a larger sigma is not reported, s."""
 
+LOOSE = Verdict("not_fixed", 0.0, False, (reason("loose"),))
+
 
 def estimate(ticks: Ticks, gnss: Gnss, *, noise: Noise | None = None) -> MountingEstimate:
     """Mounting of a box from a whole recording.
@@ -54,13 +56,14 @@ def estimate(ticks: Ticks, gnss: Gnss, *, noise: Noise | None = None) -> Mountin
     pieces = pieces_of(record, noise)
     last = pieces[-1]
     if loosely_held(len(pieces) - 1, record) or gravity_wander(last.record) > WANDER:
-        return _without(Verdict("not_fixed", 0.0, False, (reason("loose"),)))
+        return _without(LOOSE)
     changes = _changes(pieces)
     offered = excitation(last.record)
     found = assess(last.solution.fit)
     verdict = before_fit(last.record, offered) or after_fit(last.solution.start, found, offered)
     if verdict.status in ("insufficient", "not_fixed"):
-        return _without(verdict, changes)
+        unlike_a_car = any(each.code == "mismatch" for each in verdict.reasons)
+        return _without(LOOSE if changes and unlike_a_car else verdict, changes)
     fit = last.solution.fit
     speed_lag, course_lag = _known_lags(fit)
     before_moving = offered.first_moving - fit.begin

@@ -18,7 +18,7 @@ from server.settings import Settings, set_numba_cache_dir
 def demo(args: argparse.Namespace) -> int:
     """Serve, with the fleet as one more supervised child."""
     from server.accounts.service import ensure_organisation, new_sign_in_code
-    from server.cli.service import say
+    from server.cli.processes import say
     from server.database import Database
     from server.jobs.supervise import Child, scatola
     from server.serve import serve

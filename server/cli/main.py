@@ -115,12 +115,12 @@ def _add_file_commands(add: Add) -> None:
 
 
 def _add_service_commands(add: Add) -> None:
-    add("serve", "service:serve", "Serve the API and the pages; without a broker also worker and 3D viewer.")
-    add("worker", "service:worker", "Work off what is due.")
-    viewer = add("viewer", "service:viewer", "Serve the 3D views.")
+    add("serve", "processes:serve", "Serve the API and the pages; without a broker also worker and 3D viewer.")
+    add("worker", "processes:worker", "Work off what is due.")
+    viewer = add("viewer", "processes:viewer", "Serve the 3D views.")
     viewer.add_argument("--host", default="127.0.0.1")
     viewer.add_argument("--port", type=int, default=8001)
-    migrate = add("migrate", "service:migrate", "Bring the database to the newest schema.")
+    migrate = add("migrate", "processes:migrate", "Bring the database to the newest schema.")
     migrate.add_argument("--check", action="store_true", help="only say whether migrations and models agree")
     demo = add("demo", "demo:demo", "The service and a simulated fleet that uploads to it.")
     demo.add_argument("--speed", type=float, default=30.0, help="how much faster than life the past is replayed")
@@ -129,7 +129,7 @@ def _add_service_commands(add: Add) -> None:
     fleet.add_argument("--url", required=True)
     fleet.add_argument("--speed", type=float, default=30.0)
     fleet.add_argument("--history-minutes", type=float, default=40.0)
-    add("warm-up", "service:warm_up", "Compile the numerical kernels into the cache.")
+    add("warm-up", "processes:warm_up", "Compile the numerical kernels into the cache.")
 
 
 if __name__ == "__main__":

@@ -18,11 +18,11 @@ import pytest
 from fastapi import FastAPI
 from playwright.sync_api import Browser, Page, sync_playwright
 from playwright.sync_api import Error as PlaywrightError
-from seeding import seed_fleet, urban_drive
 
 from server.accounts.service import ensure_organisation
 from server.app import create_app
 from server.database import Database
+from tests.browser.seeding import seed_fleet, urban_drive
 
 ARTIFACTS = Path(__file__).resolve().parents[2] / "artifacts"
 ARGUMENTS = [

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from PIL import Image
 from playwright.sync_api import expect
-from seeding import add_box_without_vehicle
 
 from server.live.changes import announce
 from server.models import Device, DeviceState, Installation
+from tests.browser.seeding import add_box_without_vehicle
 
 
 def pixels(locator) -> np.ndarray:

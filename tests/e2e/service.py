@@ -13,6 +13,8 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+import httpx
+
 ADMIN = "end-to-end-administrator-token"
 
 
@@ -42,6 +44,15 @@ class Service:
         self.lines: list[str] = []
         self.process: subprocess.Popen[str] | None = None
 
+    def __enter__(self) -> Service:
+        self.start()
+        return self
+
+    def __exit__(self, *failure: object) -> None:
+        """Leave nothing behind, however the test ended."""
+        if self.process is not None and self.process.poll() is None:
+            self.kill()
+
     def start(self) -> None:
         environment = {name: value for name, value in os.environ.items() if not name.startswith("SCATOLA_")}
         environment |= {
@@ -66,6 +77,11 @@ class Service:
         with process.stdout:
             for line in process.stdout:
                 self.lines.append(line)
+
+    def client(self) -> httpx.Client:
+        """Speaks as the administrator."""
+        headers = {"Authorization": f"Bearer {ADMIN}"}
+        return httpx.Client(base_url=self.url, headers=headers, timeout=20.0, trust_env=False)
 
     @property
     def sign_in(self) -> str:

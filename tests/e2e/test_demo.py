@@ -8,7 +8,7 @@ import time
 import httpx
 import pytest
 
-from tests.e2e.service import ADMIN, Service, alive, eventually
+from tests.e2e.service import Service, alive, eventually
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
@@ -22,11 +22,14 @@ def installations(client: httpx.Client) -> dict[str, dict]:
 
 
 def test_the_demo_calibrates_stops_cleanly_and_goes_on(tmp_path):
-    service = Service(tmp_path / "data", "demo", "--speed", "120", "--history-minutes", "20")
-    service.start()
-    client = httpx.Client(
-        base_url=service.url, headers={"Authorization": f"Bearer {ADMIN}"}, timeout=20.0, trust_env=False
-    )
+    with (
+        Service(tmp_path / "data", "demo", "--speed", "120", "--history-minutes", "20") as service,
+        service.client() as client,
+    ):
+        walk(service, client)
+
+
+def walk(service: Service, client: httpx.Client):
     assert httpx.get(service.sign_in, trust_env=False).status_code == 200
 
     def ready() -> set[str]:
@@ -47,5 +50,4 @@ def test_the_demo_calibrates_stops_cleanly_and_goes_on(tmp_path):
     service.start()
     assert set(installations(client)) == set(before)
     assert all(state["R_va"] is not None for name, state in installations(client).items() if before[name] is not None)
-    client.close()
     assert service.stop() == 0

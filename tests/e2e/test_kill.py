@@ -14,7 +14,7 @@ import pytest
 from nav_core.simulate import Scenario, simulate
 from server.formats.drive import from_drive
 from server.uploader import Acknowledgement, Uploader, batches
-from tests.e2e.service import ADMIN, Service, eventually
+from tests.e2e.service import Service, eventually
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
@@ -48,11 +48,11 @@ def query(service: Service, sql: str):
 
 
 def test_kill_9_loses_nothing_and_doubles_nothing(tmp_path):
-    service = Service(tmp_path / "data", "serve")
-    service.start()
-    admin = httpx.Client(
-        base_url=service.url, headers={"Authorization": f"Bearer {ADMIN}"}, timeout=10.0, trust_env=False
-    )
+    with Service(tmp_path / "data", "serve") as service, service.client() as admin:
+        walk(service, admin)
+
+
+def walk(service: Service, admin: httpx.Client):
     boxes = [
         Box(service.url, admin.post("/api/v1/devices", json={"name": f"box {n}"}).raise_for_status().json(), seed=n)
         for n in range(BOXES)
@@ -97,5 +97,4 @@ def test_kill_9_loses_nothing_and_doubles_nothing(tmp_path):
         (trip,) = admin.get("/api/v1/trips", params={"device": box.device["id"]}).raise_for_status().json()["items"]
         moved = float(abs(box.truth.v).sum() / 100.0)
         assert trip["distance_m"] == pytest.approx(moved, rel=0.05)
-    admin.close()
     assert service.stop() == 0

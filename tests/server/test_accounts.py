@@ -12,8 +12,6 @@ from server.accounts.service import ensure_organisation, first_sign_in, new_sign
 from server.app import create_app
 from server.models import SignInCode, WebSession
 
-pytestmark = pytest.mark.both_databases
-
 OPEN = ("/healthz", "/readyz", "/metrics", "/openapi.json", "/docs", "/login", "/static/css/none.css")
 API = (
     ("GET", "/api/v1/devices"),
@@ -44,6 +42,7 @@ def browser(client, code) -> httpx.Client:
     return client
 
 
+@pytest.mark.both_databases
 def test_without_credentials_only_the_open_paths_answer(client):
     for path in OPEN:
         assert client.get(path).status_code in (200, 404), path
@@ -67,6 +66,7 @@ def test_wrong_credentials_are_none(client, authorization):
     assert client.get("/", headers=header).status_code == 303
 
 
+@pytest.mark.both_databases
 def test_a_device_token_uploads_and_nothing_else(client, admin, make_device):
     device_id, token = make_device()
     device = {"Authorization": f"Bearer {token}"}
@@ -83,6 +83,7 @@ def test_a_device_token_uploads_and_nothing_else(client, admin, make_device):
     assert client.post("/api/v1/batches", content=b"{", headers=device).status_code == 422
 
 
+@pytest.mark.both_databases
 def test_the_administrators_token_works_without_a_session(admin):
     assert admin.get("/api/v1/devices").status_code == 200
     assert admin.post("/api/v1/vehicles", json={"name": "v"}).status_code == 201
@@ -90,6 +91,7 @@ def test_the_administrators_token_works_without_a_session(admin):
 
 
 @pytest.mark.usefixtures("database")
+@pytest.mark.both_databases
 def test_without_an_administrators_token_none_is_valid(settings, clock, serve):
     app = create_app(settings.model_copy(update={"admin_token": None}), clock=clock)
     with httpx.Client(base_url=serve(app)) as client:
@@ -98,6 +100,7 @@ def test_without_an_administrators_token_none_is_valid(settings, clock, serve):
         assert client.post("/api/v1/auth/session", json={"code": "None"}).status_code == 401
 
 
+@pytest.mark.both_databases
 def test_a_one_time_code_opens_one_session(client, code, database):
     form = client.get("/login", params={"code": code, "next": "/vehicles"})
     assert form.status_code == 200
@@ -121,11 +124,13 @@ def test_a_one_time_code_opens_one_session(client, code, database):
     assert client.post("/api/v1/auth/session", json={"code": code}).json()["code"] == "sign_in_failed"
 
 
+@pytest.mark.both_databases
 def test_a_code_runs_out(client, code, clock):
     clock.advance(hours=25)
     assert client.post("/api/v1/auth/session", json={"code": code}).status_code == 401
 
 
+@pytest.mark.both_databases
 def test_the_administrators_token_signs_a_browser_in(client):
     assert client.post("/login", data={"code": "test-administrator"}).status_code == 303
     assert client.get("/api/v1/devices").status_code == 200
@@ -144,6 +149,7 @@ def test_the_cookie_is_secure_behind_https(app, serve, code):
         assert "secure" in answer.headers["set-cookie"].lower()
 
 
+@pytest.mark.both_databases
 def test_unsafe_requests_of_a_session_need_its_csrf_token(browser):
     token = browser.headers.pop("X-CSRF-Token")
     body = {"name": "v"}
@@ -156,6 +162,7 @@ def test_unsafe_requests_of_a_session_need_its_csrf_token(browser):
     assert browser.get("/api/v1/auth/session").json() == {"csrf_token": token}
 
 
+@pytest.mark.both_databases
 def test_a_form_may_carry_the_csrf_token(browser):
     token = browser.headers.pop("X-CSRF-Token")
     assert browser.post("/logout", data={"csrf_token": "wrong"}).status_code == 403
@@ -169,6 +176,7 @@ def _form() -> dict[str, str]:
     return {"Content-Type": "application/x-www-form-urlencoded"}
 
 
+@pytest.mark.both_databases
 def test_signing_out_ends_the_session_for_good(browser):
     cookie = browser.cookies["scatola_session"]
     assert browser.delete("/api/v1/auth/session").status_code == 204
@@ -193,6 +201,7 @@ def test_other_origins_are_refused(settings, clock, serve, code):
         assert client.delete("/api/v1/auth/session", headers={"Origin": "https://evil.example"}).status_code == 403
 
 
+@pytest.mark.both_databases
 def test_a_session_slides_and_runs_out(browser, clock):
     first = browser.cookies["scatola_session"]
     for _ in range(3):
@@ -216,6 +225,7 @@ def test_attempts_are_limited(client, code, clock):
     assert client.post("/api/v1/auth/session", json={"code": code}).status_code == 201
 
 
+@pytest.mark.both_databases
 def test_the_first_sign_in_is_printed_until_somebody_is_in(database, clock):
     with database.transaction() as session:
         first = first_sign_in(session, now=clock())
@@ -232,6 +242,7 @@ def test_the_first_sign_in_is_printed_until_somebody_is_in(database, clock):
         assert first_sign_in(session, now=clock()) is not None
 
 
+@pytest.mark.both_databases
 def test_there_is_one_default_organisation(database, clock):
     with database.transaction() as session:
         first = ensure_organisation(session, now=clock()).id
@@ -239,6 +250,7 @@ def test_there_is_one_default_organisation(database, clock):
         assert ensure_organisation(session, now=clock()).id == first
 
 
+@pytest.mark.both_databases
 def test_a_views_ticket_opens_that_view_only(client, admin, make_device, clock):
     device_id, _ = make_device()
     other_id, _ = make_device(name="other")

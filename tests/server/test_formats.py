@@ -307,9 +307,8 @@ def test_parquet_bombs_stop_before_they_unpack(compression, version):
 def test_parquet_pages_are_believed_rather_than_the_footer():
     """A file whose footer promises ten rows and whose page unpacks to megabytes."""
     rows = 500_000
-    long_body = parquet(
-        pa.table({"t": np.zeros(rows)}), compression="zstd", use_dictionary=False, data_page_size=1 << 30
-    )
+    options = {"compression": "zstd", "use_dictionary": False}
+    long_body = parquet(pa.table({"t": np.zeros(rows)}), data_page_size=1 << 30, **options)
     metadata = pq.ParquetFile(pa.BufferReader(long_body)).metadata.row_group(0).column(0)
     begin, size = metadata.data_page_offset, metadata.total_compressed_size
     page = long_body[begin : begin + size]

@@ -24,8 +24,6 @@ from server.ingest.queries import progress
 from server.models import Batch, Change, Device
 from server.store import open_store
 
-pytestmark = pytest.mark.both_databases
-
 MEGABYTE = 1024 * 1024
 
 
@@ -75,6 +73,7 @@ def box(client, make_device) -> Box:
     return Box(client, *make_device())
 
 
+@pytest.mark.both_databases
 def test_a_batch_is_stored_and_acknowledged(box, settings, database, clock):
     answer = box.send(0)
     assert answer.status_code == 202
@@ -117,6 +116,7 @@ def test_all_media_types_and_encodings(box):
         assert answer.json()["next_sequence"] == sequence + 1
 
 
+@pytest.mark.both_databases
 def test_the_same_columns_hash_alike_whatever_carries_them(box, database):
     for sequence, (body, media_type) in enumerate(
         [
@@ -131,6 +131,7 @@ def test_the_same_columns_hash_alike_whatever_carries_them(box, database):
         assert len(set(session.scalars(sa.select(Batch.body_sha256)))) == 3
 
 
+@pytest.mark.both_databases
 def test_a_repeat_is_acknowledged_and_another_body_refused(box, database):
     first = box.send(0).json()
     for encoding, body in (("gzip", gzip.compress(as_json(columns(0)))), (None, as_json(columns(0)))):
@@ -148,6 +149,7 @@ def test_a_repeat_is_acknowledged_and_another_body_refused(box, database):
         assert session.scalar(sa.select(sa.func.count()).select_from(Batch)) == 1
 
 
+@pytest.mark.both_databases
 def test_the_key_belongs_to_boot_stream_and_device(box, client, make_device):
     other = Box(client, *make_device(name="other"))
     ids = {
@@ -159,6 +161,7 @@ def test_the_key_belongs_to_boot_stream_and_device(box, client, make_device):
     assert len(ids) == 4
 
 
+@pytest.mark.both_databases
 def test_bursts_keep_the_body_as_it_came(box, settings, database):
     body = as_json(columns(7))
     assert box.send(0, gzip.compress(body), Scatola_Stream="burst", Content_Encoding="gzip").status_code == 202
@@ -169,6 +172,7 @@ def test_bursts_keep_the_body_as_it_came(box, settings, database):
     assert batch.body_key.endswith(f"/{hashlib.sha256(body).hexdigest()}.body")
 
 
+@pytest.mark.both_databases
 def test_gaps_are_reported_and_filled(box):
     box.send(0)
     answer = box.send(5).json()
@@ -183,6 +187,7 @@ def test_gaps_are_reported_and_filled(box):
     assert (late_start["next_sequence"], late_start["missing"]) == (0, [[0, 2]])
 
 
+@pytest.mark.both_databases
 def test_gaps_among_ten_thousand_batches_are_found_quickly(box, database, clock):
     box.send(0)
     with database.transaction() as session:
@@ -235,6 +240,7 @@ def test_headers_that_are_refused(box, headers, status, code):
     assert answer.headers["content-type"] == "application/problem+json"
 
 
+@pytest.mark.both_databases
 def test_extremes_of_the_key_are_taken(box):
     assert box.send(2**53 - 1, as_json(columns(0)), boot="a.B-c_9" * 9 + "x").status_code == 202
 
@@ -267,6 +273,7 @@ def test_content_that_is_refused_leaves_nothing(box, database, settings, body, c
     assert not list((settings.data_dir / "blobs").rglob("*.parquet"))
 
 
+@pytest.mark.both_databases
 def test_time_that_goes_back_is_remarked_not_refused(box, database):
     assert box.send(0, b'{"columns": {"t": [0, 2, 1], "temp": [1, 2, 3]}}').status_code == 202
     with database.reading() as session:
@@ -275,7 +282,7 @@ def test_time_that_goes_back_is_remarked_not_refused(box, database):
     assert (batch.t_first_s, batch.t_last_s) == (0.0, 2.0)
 
 
-def test_bodies_that_are_too_large(settings, database, clock, serve, organisation, box):
+def test_bodies_that_are_too_large(settings, clock, serve, box):
     small = settings.model_copy(update={"max_body_bytes": 1000, "max_decoded_bytes": 2000})
     with httpx.Client(base_url=serve(create_app(small, clock=clock)), timeout=30) as client:
         tight = Box(client, box.device_id, box.token)
@@ -307,6 +314,7 @@ def test_bombs_stop_early(box):
         assert (answer.status_code, answer.json()["code"]) == (413, "too_large")
 
 
+@pytest.mark.both_databases
 def test_a_connection_that_ends_within_the_body_stores_nothing(box, database, address):
     host, port = address.removeprefix("http://").split(":")
     head = (
@@ -334,6 +342,7 @@ def test_a_body_that_does_not_come_is_given_up(box, address, monkeypatch):
         assert b" 408 " in connection.recv(4096).split(b"\r\n")[0]
 
 
+@pytest.mark.both_databases
 def test_a_revoked_box_and_an_old_token_are_refused(box, admin):
     old = box.token
     box.token = admin.post(f"/api/v1/devices/{box.device_id}/token").json()["token"]
@@ -343,6 +352,7 @@ def test_a_revoked_box_and_an_old_token_are_refused(box, admin):
     assert box.send(1).status_code == 401
 
 
+@pytest.mark.both_databases
 def test_uploads_are_limited_per_device_before_the_body_is_read(settings, clock, serve, box, make_device):
     few = settings.model_copy(update={"device_requests_per_minute": 3})
     other_id, other_token = make_device(name="other")
@@ -357,7 +367,8 @@ def test_uploads_are_limited_per_device_before_the_body_is_read(settings, clock,
         assert limited.send(3).status_code == 202
 
 
-def test_whoever_is_to_wake_is_told_of_the_device(app, address, client, make_device):
+@pytest.mark.both_databases
+def test_whoever_is_to_wake_is_told_of_the_device(app, client, make_device):
     woken: list[str] = []
     app.state.wake = woken.append
     box = Box(client, *make_device())
@@ -366,6 +377,7 @@ def test_whoever_is_to_wake_is_told_of_the_device(app, address, client, make_dev
     assert woken == [box.device_id]
 
 
+@pytest.mark.both_databases
 def test_the_chain_follows_from_what_is_stored(box, database, clock):
     for sequence in (0, 3, 1):
         box.send(sequence)
@@ -396,6 +408,7 @@ def test_the_chain_follows_from_what_is_stored(box, database, clock):
     assert link("a", body_sha256="", column_sha256="", stream="", boot="", sequence=0, received_at=clock()) != previous
 
 
+@pytest.mark.both_databases
 def test_many_at_once_are_each_stored_once_in_one_chain(box, database):
     def send(number: int) -> tuple[int, bool]:
         answer = box.send(number % 12)
@@ -414,6 +427,7 @@ def test_many_at_once_are_each_stored_once_in_one_chain(box, database):
     assert box.send(12).json()["next_sequence"] == 13
 
 
+@pytest.mark.both_databases
 def test_the_same_key_with_two_bodies_at_once_stores_one(box):
     barrier = threading.Barrier(2)
 
@@ -425,10 +439,11 @@ def test_the_same_key_with_two_bodies_at_once_stores_one(box):
         assert sorted(pool.map(send, (1, 2))) == [202, 409]
 
 
-def test_nothing_is_acknowledged_that_is_not_durable(app, address, client, make_device, database, monkeypatch):
+@pytest.mark.both_databases
+def test_nothing_is_acknowledged_that_is_not_durable(app, client, make_device, database, monkeypatch):
     box = Box(client, *make_device())
 
-    def full(key: str, data: bytes) -> None:
+    def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(app.state.store, "put", full)

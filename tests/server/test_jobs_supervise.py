@@ -77,7 +77,7 @@ def test_a_child_is_woken_through_its_pipe(log, supervise_all):
     until(lambda: "wake" in words(log))
 
 
-def test_a_full_pipe_and_a_dead_child_do_not_hold_up_the_waker(log, supervise_all):
+def test_a_full_pipe_and_a_dead_child_do_not_hold_up_the_waker(supervise_all):
     sleeper = Child("worker", [sys.executable, "-c", "import time; time.sleep(60)"])
     supervisor = supervise_all(sleeper)
     for _ in range(70_000):
@@ -150,7 +150,7 @@ def test_children_end_by_themselves_when_the_supervisor_is_killed(log):
     assert words(log)[-1] == "end"
 
 
-def test_a_child_that_is_not_woken_follows_its_parent_too(log):
+def test_a_child_that_is_not_woken_follows_its_parent_too():
     code = (
         "import os, sys, threading\n"
         "from server.jobs.supervise import follow_parent\n"

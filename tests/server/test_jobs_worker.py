@@ -68,7 +68,7 @@ def test_the_end_of_the_pipe_is_the_end_of_the_worker(running):
     assert not thread.is_alive()
 
 
-def test_one_box_that_fails_waits_longer_and_longer_and_the_others_go_on(world, batches, clock, monkeypatch):
+def test_one_box_that_fails_waits_longer_and_longer_and_the_others_go_on(world, batches, clock):
     other = world.new_device()
     world.put(batches[0], 0)
     world.put(batches[0], 0, device_id=other)

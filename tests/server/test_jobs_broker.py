@@ -1,0 +1,241 @@
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+import uuid
+
+import pika
+import pytest
+from dramatiq.common import dq_name, xq_name
+from fleet_world import Leg, World, cut, drive_of
+
+from server.jobs import broker as jobs_broker
+from server.jobs import work as jobs_work
+from server.jobs.broker import Sender, Sweep, make_broker, run_consumer
+from server.models import Batch, BatchDigest, DeviceState, Installation
+from server.settings import Settings
+from tests.conftest import missing_service
+
+URL = "amqp://guest:guest@127.0.0.1:5672/"
+pytestmark = pytest.mark.rabbitmq
+
+
+def until(condition, seconds=90.0) -> None:
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline, "did not come about in time"
+        time.sleep(0.02)
+
+
+@pytest.fixture
+def queue():
+    """Name of a queue of the test's own, gone afterwards with its kin."""
+    name = f"scatola-test-{uuid.uuid4().hex[:12]}"
+    try:
+        connection = pika.BlockingConnection(pika.URLParameters(URL))
+    except pika.exceptions.AMQPError as error:
+        missing_service(f"no RabbitMQ at 127.0.0.1:5672: {type(error).__name__}")
+    yield name
+    channel = connection.channel()
+    for each in (name, dq_name(name), xq_name(name)):
+        channel.queue_delete(each)
+    connection.close()
+
+
+@pytest.fixture
+def settings(settings) -> Settings:
+    return settings.model_copy(update={"broker_url": Settings(broker_url=URL).broker_url})
+
+
+@pytest.fixture
+def world(database, settings, clock, organisation) -> World:
+    return World(database, settings, clock, organisation)
+
+
+@pytest.fixture
+def batches():
+    return cut(drive_of(Leg(60, 10.0), Leg(20, 0.0)))
+
+
+@pytest.fixture
+def consume(settings, clock, queue, monkeypatch):
+    """Run a consumer in a thread until the test ends."""
+    monkeypatch.setattr(jobs_broker, "SWEEP_S", 0.05)
+    with contextlib.ExitStack() as running:
+
+        def start() -> None:
+            stop = threading.Event()
+            options = {"stop": stop, "clock": clock, "queue": queue}
+            thread = threading.Thread(target=run_consumer, args=(settings,), kwargs=options)
+            thread.start()
+            running.callback(thread.join, 30.0)
+            running.callback(stop.set)
+
+        yield start
+
+
+@pytest.fixture
+def send(settings, queue):
+    sender = Sender(settings, queue=queue)
+    yield sender
+    sender.close()
+
+
+@pytest.mark.both_databases
+def test_a_message_brings_a_device_up_to_date(world, batches, send, consume, monkeypatch):
+    monkeypatch.setattr(Sweep, "once", lambda _sweep: 0)
+    consume()
+    for k, batch in enumerate(batches):
+        world.put(batch, k)
+        send(world.device_id)
+    until(lambda: world.unprocessed() == 0)
+    assert len(world.rows(BatchDigest)) == len(batches)
+
+
+def test_the_sweep_finds_what_no_message_told(world, batches, consume):
+    world.put(batches[0], 0)
+    consume()
+    until(lambda: world.unprocessed() == 0)
+
+
+def test_the_sweep_sends_once_and_not_into_a_waiting_queue(world, batches, clock, queue):
+    world.put(batches[0], 0)
+    broker = make_broker(URL)
+    broker.declare_queue(queue, ensure=True)
+    sweep = Sweep(world.database, broker, queue, clock)
+    assert sweep.once() == 1
+    until(lambda: broker.get_queue_message_counts(queue)[0] == 1)
+    assert sweep.once() == 0
+    clock.advance(seconds=jobs_broker.RESEND_S)
+    assert sweep.once() == 0  # it still waits
+    broker.flush(queue)
+    until(lambda: broker.get_queue_message_counts(queue)[0] == 0)
+    assert sweep.once() == 1
+    assert sweep.once() == 0
+    broker.close()
+
+
+def test_work_that_keeps_failing_ends_in_the_dead_letters(world, batches, send, consume, queue, monkeypatch):
+    monkeypatch.setattr(Sweep, "once", lambda _sweep: 0)
+    monkeypatch.setattr(jobs_broker, "MAX_RETRIES", 2)
+    monkeypatch.setattr(jobs_broker, "BACKOFF_MS", (1, 10))
+    tried = []
+
+    def fails(_database, _store, device_id, **_):
+        tried.append(device_id)
+        raise RuntimeError("no luck")
+
+    monkeypatch.setattr(jobs_work, "bring_up_to_date", fails)
+    world.put(batches[0], 0)
+    consume()
+    send(world.device_id)
+    broker = make_broker(URL)
+    broker.declare_queue(queue, ensure=True)
+    until(lambda: broker.get_queue_message_counts(queue)[2] == 1)
+    broker.close()
+    assert tried == [world.device_id] * 3
+    assert world.unprocessed() == 1
+
+
+def test_a_broker_that_is_away_fails_no_upload_and_is_found_again(world, settings, queue, monkeypatch):
+    with socket.create_server(("127.0.0.1", 0)) as probe:
+        nobody = f"amqp://guest:guest@127.0.0.1:{probe.getsockname()[1]}/?connection_attempts=1"
+    monkeypatch.setattr(jobs_broker, "RECONNECT_S", (0.01, 0.05))
+    urls = iter([nobody])
+    real = jobs_broker.RabbitmqBroker.enqueue
+    failed = threading.Event()
+
+    def enqueue(self, message, *, delay=None):
+        if next(urls, None):
+            failed.set()
+            raise jobs_broker.dramatiq.errors.ConnectionClosed("gone")
+        return real(self, message, delay=delay)
+
+    monkeypatch.setattr(jobs_broker.RabbitmqBroker, "enqueue", enqueue)
+    sender = Sender(settings, queue=queue)
+    began = time.monotonic()
+    sender(world.device_id)
+    assert time.monotonic() - began < 1.0
+    assert failed.wait(10.0)
+    broker = make_broker(URL)
+    broker.declare_queue(queue, ensure=True)
+    until(lambda: broker.get_queue_message_counts(queue)[0] == 1)
+    broker.close()
+    sender.close()
+    dead = Sender(settings.model_copy(update={"broker_url": Settings(broker_url=nobody).broker_url}), queue=queue)
+    dead(world.device_id)
+    dead.close()
+
+
+CONSUMER = """
+import datetime as dt, os, sys, threading
+from server.jobs import broker
+from server.settings import Settings
+broker.SWEEP_S = 0.2
+broker.RESEND_S = 1.0
+stop = threading.Event()
+threading.Thread(target=lambda: (sys.stdin.read(), stop.set()), daemon=True).start()
+now = dt.datetime.fromisoformat(sys.argv[2])
+print("ready", flush=True)
+broker.run_consumer(Settings(), stop=stop, clock=lambda: now, queue=sys.argv[1])
+"""
+
+
+@pytest.fixture
+def consumer_process(settings, clock, queue, postgres_url):
+    """Start worker processes on the test's queue."""
+    environment = {
+        **{name: value for name, value in os.environ.items() if not name.startswith("SCATOLA_")},
+        "SCATOLA_DATA_DIR": str(settings.data_dir),
+        "SCATOLA_DATABASE_URL": postgres_url,
+        "SCATOLA_BROKER_URL": URL,
+    }
+    processes = []
+
+    def start() -> subprocess.Popen:
+        process = subprocess.Popen(
+            [sys.executable, "-c", CONSUMER, queue, clock().isoformat()],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            env=environment,
+        )
+        processes.append(process)
+        return process
+
+    yield start
+    for process in processes:
+        process.kill()
+        process.communicate()
+
+
+@pytest.mark.postgres
+@pytest.mark.parametrize("dialect", ["postgresql"], indirect=True)
+def test_two_worker_processes_race_and_one_is_killed(world, send, consumer_process):
+    batches = cut(drive_of(Leg(200, 10.0), Leg(20, 0.0), Leg(20, 15.0)), seconds=5.0)
+    doomed, other = consumer_process(), consumer_process()
+    for process in (doomed, other):
+        assert process.stdout.readline() == b"ready\n"
+    for k, batch in enumerate(batches):
+        world.put(batch, k)
+        send(world.device_id)
+        send(world.device_id)
+        if k == len(batches) // 2:
+            until(lambda: world.rows(DeviceState))
+            doomed.send_signal(signal.SIGKILL)
+    until(lambda: world.unprocessed() == 0)
+    assert all(batch.failure is None for batch in world.rows(Batch))
+    assert len(world.rows(BatchDigest)) == len(batches)
+    (installation,) = world.rows(Installation)
+    assert installation.beginning == "first"
+    state = world.one(DeviceState)
+    assert world.kinds().count("position") <= state.version
+    other.stdin.close()
+    other.stdin = None
+    assert other.wait(15.0) == 0
