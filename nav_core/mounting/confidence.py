@@ -15,7 +15,7 @@ from nav_core.mounting.model import TURN
 from nav_core.mounting.refine import BLOCK, Fit
 from nav_core.typing import Floats
 
-FLOOR = np.radians(0.15)
+FLOOR = np.radians(0.1)
 """What a box's triad and a car's springs do that the model does not know, rad per axis."""
 
 CONVERGED = np.radians(2.0)

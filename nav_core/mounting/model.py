@@ -65,12 +65,12 @@ class Noise:
     bank: float = np.radians(0.8)
     bank_length: float = 80.0
     """Deviation (rad) and correlation length (m) of the bank, a rough (first-order) process."""
-    force: float = 0.03
+    force: float = 0.02
     """White noise of specific force: sensor, vibration left over, (m/s²)/√Hz."""
-    relative: float = 0.02
-    relative_turn: float = 0.02
+    relative: float = 0.01
+    relative_turn: float = 0.01
     """Share of a change of speed, and of course, that the model may miss."""
-    heave: float = 0.04
+    heave: float = 0.02
     """Vertical velocity of the body on its springs, m/s."""
     crown: float = np.radians(0.8)
     """Mean sideways tilt of the roads of a drive; part of the mounting for all the data can tell, rad."""
