@@ -150,7 +150,7 @@ def stale(gnss: Gnss) -> Flags:
 
 @dataclass(frozen=True, slots=True)
 class ClockFit:
-    """The box clock against UTC: ``utc = origin + offset + (1 + drift) (t - t_ref)``.
+    """The box clock against UTC: ``utc = utc_ref + (1 + drift) (t - t_ref)``.
 
     Attributes
     ----------
@@ -217,24 +217,46 @@ def fit_clock(t: Floats, utc: Floats) -> ClockFit:
     t, utc = t[dated], utc[dated]
     t_ref, base = float(np.median(t)), float(np.median(utc - t))
     x, y = t - t_ref, (utc - t) - base
-    weight = np.ones(t.size)
+    line = _weighted_line(x, y, np.ones(t.size))
     for _ in range(12):
-        A = np.array([[weight.sum(), weight @ x], [weight @ x, weight @ x**2]])
-        residual, offset, drift, scatter, covariance = _weighted_line(A, x, y, weight)
-        weight = np.minimum(1.0, 1.5 * scatter / np.maximum(np.abs(residual), 1e-12))
+        weight = np.minimum(1.0, 1.5 * line.scatter / np.maximum(np.abs(line.residual), 1e-12))
+        line = _weighted_line(x, y, weight)
+    return ClockFit(
+        t_ref=t_ref,
+        utc_ref=base + t_ref + line.offset,
+        drift=line.drift,
+        sigma=line.sigma,
+        drift_sigma=line.drift_sigma,
+        scatter=line.scatter,
+    )
+
+
+class _Line(NamedTuple):
+    residual: Floats
+    offset: float
+    drift: float
+    scatter: float
+    sigma: float
+    drift_sigma: float
+
+
+def _weighted_line(x: Floats, y: Floats, weight: Floats) -> _Line:
+    A = np.array([[weight.sum(), weight @ x], [weight @ x, weight @ x**2]])
+    b = np.array([weight @ y, weight @ (x * y)])
+    first = np.linalg.lstsq(A, b, rcond=None)[0]
+    # Stamps of a millisecond's resolution are no better than that, however well they agree.
+    scatter = max(1.4826 * float(np.median(np.abs(y - first[0] - first[1] * x))), 3e-4)
+    covariance = np.linalg.inv(A / scatter**2 + np.diag([0.0, _DRIFT_PRIOR**-2]))
+    offset, drift = covariance @ b / scatter**2
     sigma, drift_sigma = np.sqrt(np.diag(covariance))
-    return ClockFit(t_ref, base + t_ref + offset, drift, float(sigma), float(drift_sigma), scatter)
-
-
-def _weighted_line(A: Floats, x: Floats, y: Floats, weight: Floats) -> tuple[Floats, float, float, float, Floats]:
-    # The prior on the drift is worth one observation of the present scatter.
-    guess = np.linalg.lstsq(A + np.diag([0.0, 1e-12]), np.array([weight @ y, weight @ (x * y)]), rcond=None)[0]
-    residual = y - guess[0] - guess[1] * x
-    scatter = max(1.4826 * float(np.median(np.abs(residual))), 1e-4)
-    information = A / scatter**2 + np.diag([0.0, _DRIFT_PRIOR**-2])
-    covariance = np.linalg.inv(information)
-    offset, drift = covariance @ np.array([weight @ y, weight @ (x * y)]) / scatter**2
-    return y - offset - drift * x, float(offset), float(drift), scatter, covariance
+    return _Line(
+        residual=y - offset - drift * x,
+        offset=float(offset),
+        drift=float(drift),
+        scatter=scatter,
+        sigma=float(sigma),
+        drift_sigma=float(drift_sigma),
+    )
 
 
 def lag_between(t: Floats, late: Floats, t_reference: Floats, reference: Floats, lags: Floats) -> tuple[float, Floats]:
@@ -270,8 +292,8 @@ def lag_between(t: Floats, late: Floats, t_reference: Floats, reference: Floats,
     if np.count_nonzero(inside) < 3:
         raise TooLittleDataError("samples", int(np.count_nonzero(inside)), 3)
     y = late[inside] - late[inside].mean()
-    X = np.stack([np.interp(t[inside] - lag, t_reference, reference) for lag in lags])
-    X -= X.mean(axis=1, keepdims=True)
+    shifted = np.stack([np.interp(t[inside] - lag, t_reference, reference) for lag in lags])
+    X = shifted - shifted.mean(axis=1, keepdims=True)
     total = float(y @ y)
     explained = (X @ y) ** 2 / np.maximum(np.einsum("ij,ij->i", X, X), 1e-30)
     residual = 1.0 - explained / max(total, 1e-30)

@@ -130,9 +130,9 @@ def database(settings, dialect) -> Generator[Database]:
     database = Database(settings)
     yield database
     if dialect == "postgresql":
-        tables = ", ".join(table.name for table in Base.metadata.sorted_tables)
         with database.transaction() as session:
-            session.execute(sa.text(f"TRUNCATE {tables} RESTART IDENTITY CASCADE"))
+            for table in reversed(Base.metadata.sorted_tables):  # TRUNCATE takes half a second
+                session.execute(table.delete())
     database.dispose()
 
 

@@ -12,7 +12,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from nav_core.mounting.model import Noise, Record, pitch_plane, yaw_plane
+from nav_core.mounting.model import Noise, pitch_plane, yaw_plane
+from nav_core.mounting.stretch import Record
 from nav_core.mounting.whitening import whiten
 from nav_core.typing import Floats
 
@@ -60,9 +61,7 @@ def adapted(record: Record, R_va: Floats, lags: tuple[float, float], noise: Nois
     return found
 
 
-def _climb(
-    found: Noise, base: Noise, groups: tuple[tuple[str, ...], ...], cost: Callable[[Noise], float]
-) -> Noise:
+def _climb(found: Noise, base: Noise, groups: tuple[tuple[str, ...], ...], cost: Callable[[Noise], float]) -> Noise:
     """One step up at a time, always the one that gains most."""
     best = cost(found)
     height = dict.fromkeys(groups, 0)

@@ -12,18 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nav_core.mounting.model import (
-    CLIMB,
-    V,
-    Noise,
-    Record,
-    at,
-    integrate,
-    pitch_system,
-    steps_of,
-    turned,
-    yaw_system,
-)
+from nav_core.mounting.model import CLIMB, Noise, V, pitch_system, turned, yaw_system
+from nav_core.mounting.stretch import Record, at, integrate, steps_of
 from nav_core.mounting.whitening import Channel, whiten
 from nav_core.typing import Floats
 

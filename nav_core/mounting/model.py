@@ -22,11 +22,19 @@ from typing import NamedTuple
 
 import numpy as np
 
+from nav_core.mounting.stretch import (
+    Fixes,
+    Record,
+    Steps,
+    at,
+    gps_rate,
+    integrate,
+    smoothed,
+    steps_of,
+    unrolled,
+)
 from nav_core.mounting.whitening import Channel
-from nav_core.records import Gnss
-from nav_core.signal import Ticks
-from nav_core.timebase import stale
-from nav_core.typing import Flags, Floats, Integers
+from nav_core.typing import Flags, Floats
 
 GRAVITY = 9.80665
 MILLI_G = 1e-3 * GRAVITY
@@ -65,12 +73,12 @@ class Noise:
     bank: float = np.radians(0.8)
     bank_length: float = 80.0
     """Deviation (rad) and correlation length (m) of the bank, a rough (first-order) process."""
-    force: float = 0.02
+    force: float = 0.025
     """White noise of specific force: sensor, vibration left over, (m/s²)/√Hz."""
     relative: float = 0.01
     relative_turn: float = 0.01
     """Share of a change of speed, and of course, that the model may miss."""
-    heave: float = 0.02
+    heave: float = 0.03
     """Vertical velocity of the body on its springs, m/s."""
     crown: float = np.radians(0.8)
     """Mean sideways tilt of the roads of a drive; part of the mounting for all the data can tell, rad."""
@@ -89,129 +97,8 @@ class Noise:
     """Of the receiver: mean and deviation, s."""
 
 
-FOLLOW_SPEED = 2.0
-"""Course is used above this speed, m/s."""
 FLOOR_SPEED = 1.0
 """Divisor's floor where course is integrated, m/s."""
-
-
-class Fixes(NamedTuple):
-    """Usable fixes of a drive: repeats and crowding removed."""
-
-    t: Floats
-    """Box time of arrival, s, shape (n,)."""
-    speed: Floats
-    course: Floats
-    """rad, NaN where the receiver cannot know it."""
-    alt: Floats
-    """m, NaN where unknown."""
-
-
-SPACING = 0.18
-LONG = 1200.0
-LONG_SPACING = 0.45
-"""Least time between fixes, s, up to a duration of `LONG` seconds and beyond: a long drive has fixes to spare."""
-
-
-def usable_fixes(gnss: Gnss) -> Fixes:
-    """Fixes that carry news, without crowding: half of the error of velocity is common to neighbours.
-
-    Parameters
-    ----------
-    gnss : Gnss
-
-    Returns
-    -------
-    Fixes
-    """
-    good = gnss.fix & np.isfinite(gnss.speed) & ~stale(gnss)
-    t, speed, course, alt = gnss.t[good], gnss.speed[good], gnss.course[good], gnss.alt[good]
-    if t.size > 1:
-        spacing = SPACING if t[-1] - t[0] < LONG else LONG_SPACING
-        if np.median(np.diff(t)) < spacing:
-            cell = np.floor(t / spacing).astype(np.int64)
-            keep = np.concatenate([[True], np.diff(cell) > 0])
-            t, speed, course, alt = t[keep], speed[keep], course[keep], alt[keep]
-    course = np.where(speed > FOLLOW_SPEED, course, np.nan)
-    return Fixes(t, speed, course, alt)
-
-
-class Record(NamedTuple):
-    """Ticks and fixes of a stretch of driving, prepared for repeated evaluation."""
-
-    t: Floats
-    """Tick times, s, shape (m,)."""
-    f: Floats
-    """Specific force in the A-frame, m/s², shape (m, 3)."""
-    step: Floats
-    """Valid time that ends at each tick, s: 0 after a gap, shape (m,)."""
-    fixes: Fixes
-
-
-def prepare(ticks: Ticks, fixes: Fixes) -> Record:
-    """Valid ticks around the fixes, with the gaps marked."""
-    inside = ticks.valid
-    if fixes.t.size:
-        inside &= (ticks.t >= fixes.t[0] - 3.0) & (ticks.t <= fixes.t[-1] + 1.0)
-    t, f = ticks.t[inside], ticks.f[inside]
-    step = np.diff(t, prepend=t[:1])
-    step[step > 3.5 / ticks.rate] = 0.0
-    return Record(t, f, step, fixes)
-
-
-def integrate(record: Record, values: Floats) -> Floats:
-    """Running trapezoid integral of tick values over valid time, shape like `values`."""
-    step = record.step if values.ndim == 1 else record.step[:, None]
-    mean = values.copy()
-    mean[1:] += values[:-1]
-    return np.cumsum(0.5 * step * mean, axis=0)
-
-
-def smoothed(record: Record, values: Floats, reach: float) -> Floats:
-    """Mean of tick values over `reach` seconds either side, shape (m,)."""
-    total = np.concatenate([[0.0], np.cumsum(values)])
-    first = np.searchsorted(record.t, record.t - reach)
-    last = np.searchsorted(record.t, record.t + reach, side="right")
-    return (total[last] - total[first]) / (last - first)
-
-
-def at(record: Record, when: Floats, values: Floats) -> Floats:
-    """Tick values at any times, linear in between, shape (n,) or (n, k)."""
-    if record.t.size == 0:
-        return np.zeros((when.size, *values.shape[1:]))
-    right = np.clip(np.searchsorted(record.t, when), 1, max(record.t.size - 1, 1))
-    left = right - 1
-    right = np.minimum(right, record.t.size - 1)
-    span = np.maximum(record.t[right] - record.t[left], 1e-9)
-    share = np.clip((when - record.t[left]) / span, 0.0, 1.0)
-    if values.ndim == 2:
-        share = share[:, None]
-    return values[left] + share * (values[right] - values[left])
-
-
-class Steps(NamedTuple):
-    """From fix to fix at one lag: durations, distances, and where the thread breaks."""
-
-    when: Floats
-    dt: Floats
-    """Valid time, s."""
-    distance: Floats
-    """m."""
-    broken: Flags
-    """Accelerometer data are missing in the step."""
-
-
-def steps_of(record: Record, lag: float) -> Steps:
-    """Steps that end at each fix's own moment, ``t - lag``."""
-    when = record.fixes.t - lag
-    elapsed = np.diff(when, prepend=when[:1])
-    covered = np.diff(at(record, when, np.cumsum(record.step)), prepend=0.0)
-    covered[0] = 0.0
-    speed = record.fixes.speed
-    before = np.concatenate([speed[:1], speed[:-1]])
-    broken = np.abs(elapsed - covered) > 0.15
-    broken[0] = True
-    return Steps(when, covered, 0.5 * (speed + before) * elapsed, broken)
 
 
 def _difference(values: Floats, broken: Flags) -> Floats:
@@ -224,29 +111,6 @@ def _slow(elapsed: Floats, time: float) -> tuple[Floats, Floats]:
     """Decay and fresh variance (share) of a first-order process over each step."""
     decay = np.exp(-np.maximum(elapsed, 0.0) / time)
     return decay, 1.0 - decay**2
-
-
-def gps_rate(t: Floats, values: Floats, reach: float = 1.0) -> Floats:
-    """Rate of change of what the receiver says, over `reach` seconds either side.
-
-    The derivatives to lags and suspension gains must not be taken from the accelerometer: that one
-    feels slope and bank as well, and a highway has more of those than of acceleration.
-    """
-    known = np.isfinite(values)
-    if known.sum() < 2:
-        return np.zeros(t.size)
-    reach = max(reach, 1.01 * float(np.median(np.diff(t))))
-    ahead = np.interp(t + reach, t[known], values[known])
-    behind = np.interp(t - reach, t[known], values[known])
-    return (ahead - behind) / (2.0 * reach)
-
-
-def unrolled(course: Floats) -> Floats:
-    """Course without jumps at north; NaN stay."""
-    known = np.isfinite(course)
-    out = course.copy()
-    out[known] = np.unwrap(course[known])
-    return out
 
 
 class Frame(NamedTuple):
@@ -321,7 +185,18 @@ def pitch_system(record: Record, steps: Steps, noise: Noise, change: Floats, swi
     r[:, 0] = noise.speed_white**2
     r[:, 1] = np.where(np.isfinite(fixes.alt), noise.height_white**2, np.nan)
     r[:, 2] = noise.heave**2
-    deviations = [1e2, 1e2, noise.slope, beta * noise.slope, 1e2, noise.speed_slow, noise.height_slow, noise.bank, 0.0, 0.0]
+    deviations = [
+        1e2,
+        1e2,
+        noise.slope,
+        beta * noise.slope,
+        1e2,
+        noise.speed_slow,
+        noise.height_slow,
+        noise.bank,
+        0.0,
+        0.0,
+    ]
     P0 = np.diag(np.square(deviations))
     return P0, Phi, Q, H, r
 
@@ -476,8 +351,3 @@ def prior(noise: Noise, lags: tuple[float, float]) -> tuple[Floats, Floats]:
     deviation[[SPEED_LAG, COURSE_LAG]] = noise.lag[1]
     mean[[SPEED_LAG, COURSE_LAG]] = noise.lag[0] - lags[0], noise.lag[0] - lags[1]
     return 1.0 / deviation**2, mean
-
-
-def blocks_of(t: Floats, origin: float, length: float) -> Integers:
-    """Number of the stretch of `length` seconds that each time falls into."""
-    return np.maximum(np.floor((t - origin) / length), 0).astype(np.int64)

@@ -1,4 +1,4 @@
-"""Was the box moved during the drive?  When, and how far?
+"""Find out whether, when and how far the box was moved during a drive.
 
 A suspicion comes cheaply: from the mean direction of specific force, which shows a change of tilt of
 any size, and from the evidence by stretches, which shows what else changed.  A suspicion counts when
@@ -13,10 +13,11 @@ from typing import NamedTuple
 import numpy as np
 
 from nav_core.mounting.confidence import FLOOR, assess
-from nav_core.mounting.model import Noise, Record
+from nav_core.mounting.model import Noise
 from nav_core.mounting.quality import excitation, fits_a_car
 from nav_core.mounting.refine import BLOCK, HUBER, Fit, weigh
 from nav_core.mounting.solution import Solution, between, solve
+from nav_core.mounting.stretch import Record
 from nav_core.rotation import error_between
 from nav_core.typing import Floats
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from nav_core.mounting.closed_form import Start
 from nav_core.mounting.confidence import CONVERGED, Confidence
-from nav_core.mounting.model import FOLLOW_SPEED, Record, gps_rate, unrolled
+from nav_core.mounting.stretch import FOLLOW_SPEED, Record, gps_rate, unrolled
 from nav_core.records import MountingStatus, Reason
 from nav_core.typing import Floats
 
@@ -20,6 +20,9 @@ MIN_EVENTFUL = 8.0
 
 NOTICEABLE = 0.35
 """m/s²."""
+
+LIVELY = 0.7
+"""Of the vigour of a drive in which slopes are no match for acceleration, m/s²."""
 
 USELESS = np.radians(15.0)
 """An axis with a larger sigma is not known at all, rad."""
@@ -59,6 +62,8 @@ class Excitation:
         Time with noticeable acceleration along and across, s.
     turned : float
         Sum of all turning, rad.
+    vigour : float
+        Root mean square of horizontal acceleration while moving, m/s².
     first_moving : float
         Box time of the first moving fix, s.
     """
@@ -67,6 +72,7 @@ class Excitation:
     along: float
     across: float
     turned: float
+    vigour: float
     first_moving: float
 
 
@@ -74,7 +80,7 @@ def excitation(record: Record) -> Excitation:
     """What the drive offered, from the receiver alone."""
     fixes = record.fixes
     if fixes.t.size < 2:
-        return Excitation(0.0, 0.0, 0.0, 0.0, 0.0)
+        return Excitation(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     span = np.minimum(np.diff(fixes.t, prepend=fixes.t[0]), 2.0)
     moving = fixes.speed > FOLLOW_SPEED
     a = gps_rate(fixes.t, fixes.speed)
@@ -84,6 +90,7 @@ def excitation(record: Record) -> Excitation:
         along=float(span[np.abs(a) > NOTICEABLE].sum()),
         across=float(span[np.abs(w * fixes.speed) > NOTICEABLE].sum()),
         turned=float((span * np.abs(w)).sum()),
+        vigour=float(np.sqrt(np.mean(a[moving] ** 2 + (w * fixes.speed)[moving] ** 2))) if moving.any() else 0.0,
         first_moving=float(fixes.t[np.argmax(moving)]) if moving.any() else float(fixes.t[0]),
     )
 
@@ -138,8 +145,8 @@ def fits_a_car(start: Start, offered: Excitation) -> bool:
     The closed form takes slopes for acceleration and so comes out short where there is little of
     the latter; where there is much, what is missing is the car.
     """
-    eventful = offered.along + offered.across > 0.3 * offered.moving
-    return abs(start.strength - 1.0) < max(0.2 if eventful else 0.5, 3.0 * start.sigma)
+    missing = 0.2 if offered.vigour > LIVELY else 0.5
+    return abs(start.strength - 1.0) < max(missing, 3.0 * start.sigma)
 
 
 def after_fit(start: Start, found: Confidence, offered: Excitation) -> Verdict:
@@ -188,4 +195,3 @@ def _missing(sigma: Floats, offered: Excitation) -> tuple[Reason, ...]:
     if (sigma[0] > CONVERGED or sigma[2] > CONVERGED) and offered.turned < np.pi:
         codes.append("no_turns")
     return tuple(reason(code) for code in codes or ["keep_driving"])
-

@@ -8,19 +8,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from nav_core.mounting.closed_form import Start
-from nav_core.mounting.model import (
-    BIAS,
-    COURSE_LAG,
-    SPEED_LAG,
-    TURN,
-    UNKNOWNS,
-    Noise,
-    Record,
-    blocks_of,
-    pitch_plane,
-    prior,
-    yaw_plane,
-)
+from nav_core.mounting.model import BIAS, COURSE_LAG, SPEED_LAG, TURN, UNKNOWNS, Noise, pitch_plane, prior, yaw_plane
+from nav_core.mounting.stretch import Record, blocks_of
 from nav_core.mounting.whitening import Evidence, whiten
 from nav_core.typing import Floats
 
@@ -124,33 +113,34 @@ def refine(record: Record, start: Start, noise: Noise, p: Floats | None = None) 
     Fit
     """
     R_va, lags = start.R_va, (start.speed_lag, start.course_lag)
-    informed = p is not None
-    p = np.zeros(UNKNOWNS) if p is None else p.copy()
-    p[TURN] = p[[SPEED_LAG, COURSE_LAG]] = 0.0
-    base = noise
-    for number in range(_PASSES):
-        evidence = weigh(record, R_va, lags, noise, p, HUBER if number or informed else np.inf)
-        diagonal, mean = prior(noise, lags)
+    at = np.zeros(UNKNOWNS) if p is None else p.copy()
+    at[TURN] = at[[SPEED_LAG, COURSE_LAG]] = 0.0
+    suited = noise
+    number = 0
+    while True:
+        evidence = weigh(record, R_va, lags, suited, at, HUBER if number or p is not None else np.inf)
+        diagonal, mean = prior(suited, lags)
         gram = evidence.gram.sum((0, 1))
-        p = np.linalg.solve(gram[1:, 1:] + np.diag(diagonal + 1e-6), diagonal * mean - gram[1:, 0])
-        turn = p[TURN] * min(1.0, _MAX_TURN / max(float(np.linalg.norm(p[TURN])), 1e-9))
-        shift = p[[SPEED_LAG, COURSE_LAG]]
+        at = np.linalg.solve(gram[1:, 1:] + np.diag(diagonal + 1e-6), diagonal * mean - gram[1:, 0])
+        turn = at[TURN] * min(1.0, _MAX_TURN / max(float(np.linalg.norm(at[TURN])), 1e-9))
+        shift = at[[SPEED_LAG, COURSE_LAG]]
         settled = float(np.linalg.norm(turn)) < 3e-4 and float(np.abs(shift).max()) < 0.01
-        if settled and (number or informed):
+        number += 1
+        if number == _PASSES or (settled and (number > 1 or p is not None)):
             break
         R_va = Rotation.from_rotvec(turn).as_matrix() @ R_va
         lags = (float(np.clip(lags[0] + shift[0], 0.0, MAX_LAG)), float(np.clip(lags[1] + shift[1], 0.0, MAX_LAG)))
-        p[TURN] = p[[SPEED_LAG, COURSE_LAG]] = 0.0
-        noise = likely_bias(base, float(p[BIAS][2]))
+        at[TURN] = at[[SPEED_LAG, COURSE_LAG]] = 0.0
+        suited = likely_bias(noise, float(at[BIAS][2]))
     return Fit(
         R_va=R_va,
-        p=p,
+        p=at,
         speed_lag=lags[0],
         course_lag=lags[1],
-        noise=noise,
+        noise=suited,
         gram=evidence.gram.sum(1),
-        misfit=evidence.misfit(p),
-        count=evidence.count,
+        misfit=evidence.misfit(at),
+        count=evidence.number,
         prior=diagonal,
         prior_pull=diagonal * mean,
         begin=float(record.fixes.t[0]),

@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from nav_core.mounting.model import Record, pitch_plane
+from nav_core.mounting.model import pitch_plane
 from nav_core.mounting.refine import Fit
+from nav_core.mounting.stretch import Record
 from nav_core.mounting.whitening import whiten
 from nav_core.records import SelfTest
 from nav_core.typing import Integers

@@ -8,8 +8,9 @@ import numpy as np
 
 from nav_core.mounting.adapt import adapted
 from nav_core.mounting.closed_form import Start, start
-from nav_core.mounting.model import Fixes, Noise, Record
+from nav_core.mounting.model import Noise
 from nav_core.mounting.refine import HUBER, Fit, refine
+from nav_core.mounting.stretch import Fixes, Record
 
 EXCERPT = 400.0
 """Length of the stretch that start and noise levels are taken from, s."""

@@ -56,8 +56,8 @@ class Evidence(NamedTuple):
 
     gram: Floats
     """For all of `p`, shape (blocks, k, 1 + size of p, 1 + size of p)."""
-    count: Floats
-    """Measurements, shape (blocks, k)."""
+    number: Floats
+    """Of measurements, shape (blocks, k)."""
     log_det: Floats
     """Sum of log innovation variances, shape (blocks, k)."""
 
@@ -67,6 +67,84 @@ class Evidence(NamedTuple):
         return self.gram @ e @ e
 
 
+@kernel
+def _predict(Phi: Floats, Q: Floats, X: Floats, P: Floats, carried: Floats, half: Floats) -> None:
+    """``X <- Phi X``, ``P <- Phi P Phi' + Q`` in place; most of Phi is zero."""
+    n, c = X.shape
+    for a in range(n):
+        for j in range(c):
+            carried[a, j] = 0.0
+        for j in range(n):
+            half[a, j] = 0.0
+        for b in range(n):
+            g = Phi[a, b]
+            if g != 0.0:
+                for j in range(c):
+                    carried[a, j] += g * X[b, j]
+                for j in range(n):
+                    half[a, j] += g * P[b, j]
+    for a in range(n):
+        for j in range(c):
+            X[a, j] = carried[a, j]
+        for j in range(n):
+            P[a, j] = Q[a, j]
+    for b in range(n):
+        for m in range(n):
+            g = Phi[b, m]
+            if g != 0.0:
+                for a in range(n):
+                    P[b, a] += half[a, m] * g  # symmetric: filled by rows
+
+
+@kernel
+def _correct(
+    h: Floats,
+    y: Floats,
+    r: float,
+    period: float,
+    p: Floats,
+    limit: float,
+    X: Floats,
+    P: Floats,
+    e: Floats,
+    Ph: Floats,
+) -> float:
+    """One scalar measurement: fills the innovation `e`, updates X and P, gives the variance used."""
+    n, c = X.shape
+    for a in range(n):
+        Ph[a] = 0.0
+    for j in range(c):
+        e[j] = y[j]
+    for b in range(n):
+        g = h[b]
+        if g != 0.0:
+            for a in range(n):
+                Ph[a] += P[b, a] * g
+            for j in range(c):
+                e[j] -= g * X[b, j]
+    variance = r
+    for a in range(n):
+        variance += h[a] * Ph[a]
+    residual = e[0]
+    for j in range(1, c):
+        residual += e[j] * p[j - 1]
+    if period > 0.0:
+        turns = period * np.round(residual / period)
+        e[0] -= turns
+        residual -= turns
+    size = np.abs(residual) / np.sqrt(variance)
+    if size > limit:
+        variance *= size / limit  # Huber: the pull of an outlier stays that of one at the limit
+    for a in range(n):
+        gain = Ph[a] / variance
+        for j in range(c):
+            X[a, j] += gain * e[j]
+        for b in range(n):
+            P[a, b] -= gain * Ph[b]
+    return variance
+
+
+@kernel
 def _whiten(
     x0: Floats,
     P0: Floats,
@@ -83,95 +161,33 @@ def _whiten(
     limit: float,
     restart: bool,
     gram: Floats,
-    count: Floats,
+    number: Floats,
     log_det: Floats,
 ) -> None:
     steps, n = Phi.shape[0], Phi.shape[1]
     k, c = Y.shape[1], Y.shape[2]
-    X, X1 = np.zeros((n, c)), np.zeros((n, c))
-    P, M = np.zeros((n, n)), np.zeros((n, n))
-    e, PH = np.zeros(c), np.zeros(n)
+    X, carried = np.zeros((n, c)), np.zeros((n, c))
+    P, half = np.zeros((n, n)), np.zeros((n, n))
+    e, Ph = np.zeros(c), np.zeros(n)
     for i in range(steps):
-        if i == 0 or (restart and block[i] != block[i - 1]):
-            for a in range(n):
-                for j in range(c):
-                    X[a, j] = 0.0
-                X[a, 0] = x0[a]
-                for b in range(n):
-                    P[a, b] = P0[a, b]
-        for a in range(n):
-            for j in range(c):
-                X1[a, j] = 0.0
-            for j in range(n):
-                M[a, j] = 0.0
-        for a in range(n):
-            for b in range(n):
-                g = Phi[i, a, b]
-                if g != 0.0:
-                    for j in range(c):
-                        X1[a, j] += g * X[b, j]
-                    for j in range(n):
-                        M[a, j] += g * P[b, j]
+        z = block[i]
+        if i == 0 or (restart and z != block[i - 1]):
+            X[:, :] = 0.0
+            X[:, 0] = x0
+            P[:, :] = P0
+        _predict(Phi[i], Q[i], X, P, carried, half)
         for d in range(driven.size):
             for j in range(c):
-                X1[driven[d], j] += U[i, d, j]
-        for a in range(n):
-            for j in range(c):
-                X[a, j] = X1[a, j]
-        for a in range(n):
-            for b in range(n):
-                P[a, b] = Q[i, a, b]
-        for b in range(n):
-            for l in range(n):
-                g = Phi[i, b, l]
-                if g != 0.0:
-                    for a in range(n):
-                        P[b, a] += M[a, l] * g  # symmetric: filled by rows
+                X[driven[d], j] += U[i, d, j]
         for m in range(k):
-            if not np.isfinite(r[i, m]):
-                continue
-            PH[:] = 0.0
-            for j in range(c):
-                e[j] = Y[i, m, j]
-            for b in range(n):
-                h = H[i, m, b]
-                if h != 0.0:
-                    for a in range(n):
-                        PH[a] += P[b, a] * h
-                    for j in range(c):
-                        e[j] -= h * X[b, j]
-            S = r[i, m]
-            for a in range(n):
-                S += H[i, m, a] * PH[a]
-            residual = e[0]
-            for j in range(1, c):
-                # columns of e are derivatives of the innovation
-                residual += e[j] * p[j - 1]
-            if period[m] > 0.0:
-                turns = period[m] * np.round(residual / period[m])
-                e[0] -= turns
-                residual -= turns
-            size = np.abs(residual) / np.sqrt(S)
-            if size > limit:
-                S *= size / limit  # Huber: the pull of an outlier stays that of one at the limit
-            for a in range(n):
-                gain = PH[a] / S
-                for j in range(c):
-                    X[a, j] += gain * e[j]
-            for a in range(n):
-                gain = PH[a] / S
-                for b in range(n):
-                    P[a, b] -= gain * PH[b]
-            z = block[i]
-            for a in range(c):
-                scaled = e[a] / S
-                for j in range(a + 1):
-                    gram[z, m, a, j] += scaled * e[j]
-            count[z, m] += 1.0
-            log_det[z, m] += np.log(S)
-
-
-_whiten_fast = kernel(_whiten)
+            if np.isfinite(r[i, m]):
+                variance = _correct(H[i, m], Y[i, m], r[i, m], period[m], p, limit, X, P, e, Ph)
+                for a in range(c):
+                    scaled = e[a] / variance
+                    for j in range(a + 1):
+                        gram[z, m, a, j] += scaled * e[j]
+                number[z, m] += 1.0
+                log_det[z, m] += np.log(variance)
 
 
 def whiten(
@@ -182,7 +198,6 @@ def whiten(
     *,
     limit: float = np.inf,
     restart: bool = False,
-    compiled: bool = True,
 ) -> Evidence:
     """Run the whitening filter over one channel.
 
@@ -198,20 +213,68 @@ def whiten(
         Innovations beyond this many sigmas are weighted down (Huber); infinite for none.
     restart : bool
         Begin every stretch anew from the initial state: stretches that know nothing of each other.
-    compiled : bool
-        False runs the same steps as plain Python, for tests.
 
     Returns
     -------
     Evidence
     """
     k, c = channel.Y.shape[1], channel.Y.shape[2]
-    gram, count, log_det = np.zeros((blocks, k, c, c)), np.zeros((blocks, k)), np.zeros((blocks, k))
-    run = _whiten_fast if compiled else _whiten
-    arrays = [np.ascontiguousarray(array) for array in channel[:-1]]  # one compiled form for every layout
-    run(*arrays, block, p[channel.unknowns], float(limit), restart, gram, count, log_det)
+    gram, number, log_det = np.zeros((blocks, k, c, c)), np.zeros((blocks, k)), np.zeros((blocks, k))
+    whole = np.ascontiguousarray  # one compiled form for every layout
+    _whiten(
+        whole(channel.x0),
+        whole(channel.P0),
+        whole(channel.Phi),
+        whole(channel.Q),
+        whole(channel.driven),
+        whole(channel.U),
+        whole(channel.H),
+        whole(channel.Y),
+        whole(channel.r),
+        whole(channel.period),
+        block,
+        whole(p[channel.unknowns]),
+        float(limit),
+        restart,
+        gram,
+        number,
+        log_det,
+    )
     gram += np.swapaxes(np.tril(gram, -1), -1, -2)
-    place = np.concatenate([[0], 1 + channel.unknowns])
-    everything = np.zeros((blocks, k, 1 + p.size, 1 + p.size))
+    return Evidence(_spread(gram, channel.unknowns, p.size), number, log_det)
+
+
+def whiten_reference(channel: Channel, block: Integers, blocks: int, p: Floats, *, limit: float = np.inf) -> Evidence:
+    """What `whiten` computes, in plain array code."""
+    k, c = channel.Y.shape[1], channel.Y.shape[2]
+    gram, number, log_det = np.zeros((blocks, k, c, c)), np.zeros((blocks, k)), np.zeros((blocks, k))
+    X = np.zeros((channel.x0.size, c))
+    X[:, 0] = channel.x0
+    P = channel.P0
+    weights = np.concatenate([[1.0], p[channel.unknowns]])
+    for i in range(block.size):
+        X = channel.Phi[i] @ X
+        X[channel.driven] += channel.U[i]
+        P = channel.Phi[i] @ P @ channel.Phi[i].T + channel.Q[i]
+        for m in np.flatnonzero(np.isfinite(channel.r[i])):
+            h = channel.H[i, m]
+            e = channel.Y[i, m] - h @ X
+            if channel.period[m] > 0.0:
+                e[0] -= channel.period[m] * np.round(e @ weights / channel.period[m])
+            variance = h @ P @ h + channel.r[i, m]
+            variance *= max(1.0, abs(e @ weights) / np.sqrt(variance) / limit)
+            gain = P @ h / variance
+            X = X + np.outer(gain, e)
+            P = P - np.outer(gain, P @ h)
+            gram[block[i], m] += np.outer(e, e) / variance
+            number[block[i], m] += 1.0
+            log_det[block[i], m] += np.log(variance)
+    return Evidence(_spread(gram, channel.unknowns, p.size), number, log_det)
+
+
+def _spread(gram: Floats, unknowns: Integers, size: int) -> Floats:
+    """Products of the unknowns that act in a channel, at their places among all."""
+    place = np.concatenate([[0], 1 + unknowns])
+    everything = np.zeros((*gram.shape[:2], 1 + size, 1 + size))
     everything[:, :, place[:, None], place] = gram
-    return Evidence(everything, count, log_det)
+    return everything

@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 
 from nav_core.mounting.confidence import assess
-from nav_core.mounting.model import COURSE_LAG, SPEED_LAG, Noise, prepare, usable_fixes
+from nav_core.mounting.model import COURSE_LAG, SPEED_LAG, Noise
 from nav_core.mounting.moved import Piece, pieces_of
 from nav_core.mounting.quality import (
     WANDER,
@@ -21,6 +21,7 @@ from nav_core.mounting.quality import (
 )
 from nav_core.mounting.refine import Fit
 from nav_core.mounting.self_test import self_test
+from nav_core.mounting.stretch import prepare, usable_fixes
 from nav_core.records import Gnss, MountingChange, MountingEstimate
 from nav_core.rotation import angle_between
 from nav_core.signal import Ticks
@@ -87,9 +88,7 @@ def estimate(ticks: Ticks, gnss: Gnss, *, noise: Noise | None = None) -> Mountin
 
 def _changes(pieces: list[Piece]) -> tuple[MountingChange, ...]:
     return tuple(
-        MountingChange(
-            float(after.record.fixes.t[0]), angle_between(after.solution.fit.R_va, before.solution.fit.R_va)
-        )
+        MountingChange(float(after.record.fixes.t[0]), angle_between(after.solution.fit.R_va, before.solution.fit.R_va))
         for before, after in pairwise(pieces)
     )
 

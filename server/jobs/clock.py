@@ -14,6 +14,9 @@ DRIFT_SPAN_S = 600.0
 PAIRS = 720
 """Batches whose fixes take part in the fit, the newest."""
 
+MAX_DRIFT = 1e-3
+"""No crystal is that wrong; a larger slope means that the fixes lie about UTC."""
+
 LAG_SIGMA_S = 0.3
 """A fix reaches the box 0 to some 0.6 s after its moment, by an amount that stays unknown."""
 
@@ -43,6 +46,7 @@ def from_fixes(t: Floats, offset: Floats) -> BootClock:
     if t.size >= 4 and t[-1] - t[0] >= DRIFT_SPAN_S:
         half = t.size // 2
         drift = float(np.median((offset[-half:] - offset[:half]) / (t[-half:] - t[:half])))
+        drift = drift if abs(drift) <= MAX_DRIFT else 0.0
     residual = offset - drift * t
     middle = float(np.median(residual))
     scatter = 1.4826 * float(np.median(np.abs(residual - middle)))

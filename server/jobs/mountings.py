@@ -138,7 +138,7 @@ class Mountings:
         after = self.rows[at + 1] if at + 1 < len(self.rows) else None
         since = row.began_at.timestamp() + (MOVE_GUARD_S if row.beginning == "moved" else 0.0)
         if row.beginning == "first":
-            since -= 1.0  # the ticks' window reaches a little before the first sample
+            since -= 1.0  # ticks reach a little before the first sample
         until = row.ended_at.timestamp() if row.ended_at else float("inf")
         if after is not None and after.beginning == "moved":
             until -= MOVE_GUARD_S

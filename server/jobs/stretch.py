@@ -1,7 +1,8 @@
 """The data of one installation on one time axis, out of the digests of its batches.
 
-Every boot of a box has a clock of its own.  The boots follow one another on the axis with a gap between,
-shifted by whole ticks, so that ticks keep their grid; UTC is mapped through each boot's clock.
+Every boot of a box has a clock of its own, and a box may sleep for weeks within a boot.  The runs of data follow
+one another on the axis with a bounded pause between, shifted by whole ticks, so that ticks keep their grid;
+UTC is mapped through each boot's clock.
 """
 
 from __future__ import annotations
@@ -23,8 +24,8 @@ from server.models import Boot
 WINDOW_S = 7200.0
 """An estimate uses at most this much data, the newest."""
 
-BOOT_GAP_S = (60.0, 3600.0)
-"""Between boots the axis has the true pause, within these bounds."""
+PAUSE_S = (60.0, 600.0)
+"""Between boots the axis has the true pause within these bounds; a longer one within a boot is cut to the second."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +42,7 @@ class Piece:
 
 @dataclass(frozen=True, slots=True)
 class Segment:
-    """One boot on the axis: ``axis = t + shift``."""
+    """A run of data of one boot on the axis: ``axis = t + shift``."""
 
     boot: Boot
     shift_s: float
@@ -51,7 +52,7 @@ class Segment:
 
 @dataclass(frozen=True, slots=True)
 class Stretch:
-    """Ticks and fixes on the axis, the boots they come from, and the hash of what went in."""
+    """Ticks and fixes on the axis, the runs they come from, and the hash of what went in."""
 
     ticks: Ticks
     gnss: Gnss
@@ -65,7 +66,7 @@ class Stretch:
         return last.boot.unix_s(last.t_last_s)
 
     def unix_s(self, axis_s: float) -> float:
-        """UTC of a moment on the axis; within a gap between boots, the beginning of the later boot."""
+        """UTC of a moment on the axis; within a pause, the beginning of what follows."""
         for segment in self.segments:
             t = axis_s - segment.shift_s
             if t <= segment.t_last_s:
@@ -74,18 +75,23 @@ class Stretch:
 
     def between(self, since_s: float, until_s: float) -> Stretch:
         """The part from one UTC to another, same axis."""
-        keep_ticks = np.zeros(self.ticks.index.size, dtype=np.bool_)
-        keep_fixes = np.zeros(self.gnss.t.size, dtype=np.bool_)
-        for segment in self.segments:
-            low = max(segment.boot.box_s(since_s), segment.t_first_s - 1.0) + segment.shift_s
-            high = min(segment.boot.box_s(until_s), segment.t_last_s + 1.0) + segment.shift_s
-            keep_ticks |= (self.ticks.t >= low) & (self.ticks.t < high)
-            keep_fixes |= (self.gnss.t >= low) & (self.gnss.t < high)
-        ticks = Ticks(
-            self.ticks.rate,
-            *(getattr(self.ticks, name)[keep_ticks] for name in ("index", "weight", "moment", "square")),
+        ranges = np.array(
+            [
+                (
+                    max(s.boot.box_s(since_s), s.t_first_s) + s.shift_s,
+                    min(s.boot.box_s(until_s), s.t_last_s) + s.shift_s,
+                )
+                for s in self.segments
+            ]
         )
-        return replace(self, ticks=ticks, gnss=_select(self.gnss, keep_fixes))
+        # What lies on the edge of a run belongs to it; rounding of the shift must not lose it.
+        margin = 0.01 / TICK_RATE
+        keep_ticks = _inside(self.ticks.t, ranges, margin)
+        return replace(
+            self,
+            ticks=_chosen(self.ticks, keep_ticks),
+            gnss=_select(self.gnss, _inside(self.gnss.t, ranges, margin)),
+        )
 
 
 def newest(pieces: Sequence[Piece], boots: Mapping[str, Boot], window_s: float = WINDOW_S) -> list[Piece]:
@@ -112,31 +118,60 @@ def assemble(pieces: Sequence[Piece], boots: Mapping[str, Boot]) -> Stretch:
     ticks: list[Ticks] = []
     gnss: list[Gnss] = []
     for name, parts in by_boot.items():
-        first, last = min(p.t_first_s for p in parts), max(p.t_last_s for p in parts)
-        steps = _steps_after(segments[-1], boots[name], first) if segments else 0
-        segments.append(Segment(boots[name], steps / TICK_RATE, first, last))
-        merged = merge([part.digest.ticks for part in parts])
-        ticks.append(replace(merged, index=merged.index + steps))
-        gnss.append(_shifted(join_gnss([part.digest.gnss for part in parts]), steps / TICK_RATE))
+        boot_ticks = merge([part.digest.ticks for part in parts])
+        boot_gnss = join_gnss([part.digest.gnss for part in parts])
+        for first, last in _runs(np.union1d(boot_ticks.t, boot_gnss.t)):
+            steps = _steps(segments[-1] if segments else None, boots[name], first)
+            segments.append(Segment(boots[name], steps / TICK_RATE, first, last))
+            k = slice(*np.searchsorted(boot_ticks.t, [first, np.nextafter(last, np.inf)]))
+            run = _chosen(boot_ticks, k)
+            ticks.append(replace(run, index=run.index + steps))
+            k = slice(*np.searchsorted(boot_gnss.t, [first, np.nextafter(last, np.inf)]))
+            gnss.append(_shifted(_select(boot_gnss, k), steps / TICK_RATE))
     hashes = "".join(piece.column_sha256 for piece in pieces)
     return Stretch(merge(ticks), join_gnss(gnss), tuple(segments), sha256(hashes.encode()).hexdigest())
+
+
+def _runs(t: Floats) -> list[tuple[float, float]]:
+    """First and last time of each run of data without a long pause."""
+    if t.size == 0:
+        return []
+    breaks = np.flatnonzero(np.diff(t) > PAUSE_S[1])
+    firsts, lasts = np.append(t[0], t[breaks + 1]), np.append(t[breaks], t[-1])
+    return list(zip(firsts.tolist(), lasts.tolist(), strict=True))
+
+
+def _steps(before: Segment | None, boot: Boot, first_s: float) -> int:
+    """Ticks by which a run is shifted so that it follows the one before."""
+    if before is None:
+        return 0
+    if before.boot is boot:
+        return round((before.shift_s - (first_s - before.t_last_s - PAUSE_S[1])) * TICK_RATE)
+    pause = boot.unix_s(first_s) - before.boot.unix_s(before.t_last_s)
+    begin = before.t_last_s + before.shift_s + min(max(pause, PAUSE_S[0]), PAUSE_S[1])
+    return math.ceil((begin - first_s) * TICK_RATE)
+
+
+def _inside(t: Floats, ranges: Floats, margin: float) -> Flags:
+    """Which times lie in one of the ranges, which are in order and apart."""
+    k = np.searchsorted(ranges[:, 0] - margin, t, side="right") - 1
+    known = k >= 0
+    return known & (t < ranges[np.maximum(k, 0), 1] + margin)
+
+
+def _chosen(ticks: Ticks, keep: Flags | slice) -> Ticks:
+    return Ticks(ticks.rate, ticks.index[keep], ticks.weight[keep], ticks.moment[keep], ticks.square[keep])
 
 
 def _start(boot: Boot) -> tuple[float, int]:
     return boot.unix_s(boot.t_first_s), boot.ordinal
 
 
-def _steps_after(before: Segment, boot: Boot, first_s: float) -> int:
-    pause = boot.unix_s(first_s) - before.boot.unix_s(before.t_last_s)
-    begin = before.t_last_s + before.shift_s + min(max(pause, BOOT_GAP_S[0]), BOOT_GAP_S[1])
-    return math.ceil((begin - first_s) * TICK_RATE)
-
-
 def _shifted(gnss: Gnss, shift_s: float) -> Gnss:
     return replace(gnss, t=gnss.t + shift_s) if shift_s else gnss
 
 
-def _select(gnss: Gnss, keep: Flags) -> Gnss:
+def _select(gnss: Gnss, keep: Flags | slice) -> Gnss:
     columns: dict[str, Floats] = {
         name: values[keep]
         for name in ("t", "lat", "lon", "alt", "speed", "course", "hdop", "sats", "utc")

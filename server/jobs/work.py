@@ -33,7 +33,7 @@ from server.jobs.situation import Situation
 from server.jobs.stretch import Piece
 from server.jobs.trips import StoredTrips, Trips
 from server.live.changes import announce
-from server.models import Batch, BatchDigest, Boot, DeviceState, MountingRevision, TrackPoint, Trip
+from server.models import Batch, BatchDigest, Boot, Device, DeviceState, MountingRevision, TrackPoint, Trip
 from server.store import BlobStore
 from server.trips.track import REST_S
 
@@ -299,6 +299,9 @@ class Round:
         """Store everything in one short transaction; False when the device changed since it was read."""
         try:
             with self._database.transaction() as session:
+                # The box's own row first, as whoever swaps it or takes its uploads does: else two could wait in a ring.
+                device = select(Device.id).where(Device.id == self._situation.device.id)
+                session.execute(device.with_for_update(read=True, key_share=True))
                 version = session.scalar(
                     select(DeviceState.version)
                     .where(DeviceState.device_id == self._situation.device.id)

@@ -21,7 +21,8 @@ from server.models import Change
 
 POLL_S = 0.2
 QUEUE = 256
-PAGE = 500
+PAGE = 128
+"""Handed out at once; half a queue, so that a burst of changes alone cuts nobody off."""
 
 log = structlog.stdlib.get_logger("scatola.live")
 
@@ -65,7 +66,9 @@ class LiveHub:
                         yield change
                     after = page[-1].id
             while not self._closed and (change := await listener.queue.get()) is not None:
-                yield change
+                # Another process may have told the listener already what this one only learns now.
+                if after is None or change.id > after:
+                    yield change
         finally:
             self._listeners.discard(listener)
             if not self._listeners and self._reader is not None:

@@ -152,14 +152,17 @@ def test_a_slow_listener_is_cut_off_and_loses_nothing(database, organisation, te
         first = asyncio.ensure_future(anext(slow))
         await asyncio.to_thread(tell, "first")
         seen = [(await first).kind]
-        last = (await asyncio.to_thread(tell, *["more"] * (QUEUE + 10)))[-1]
-        quick = hub.changes(organisation.id, last)
+        quick = hub.changes(organisation.id, None)
         coming = asyncio.ensure_future(anext(quick))
-        await asyncio.to_thread(tell, "end")
-        assert (await coming).kind == "end"  # by now the slow one's queue has run over
-        seen += [change.kind async for change in slow]
+        await asyncio.to_thread(tell, *["more"] * (QUEUE + 10))
+        for _ in range(QUEUE + 10):
+            assert (await coming).kind == "more"
+            coming = asyncio.ensure_future(anext(quick))
+        seen += [change.kind async for change in slow]  # its queue has run over meanwhile
         again = hub.changes(organisation.id, 1)
         missed = [(await anext(again)).kind for _ in range(QUEUE + 10)]
+        coming.cancel()
+        await asyncio.wait([coming])
         for generator in (quick, again):
             await generator.aclose()
         return seen, missed
@@ -167,6 +170,24 @@ def test_a_slow_listener_is_cut_off_and_loses_nothing(database, organisation, te
     seen, missed = asyncio.run(scenario())
     assert seen == ["first"]
     assert missed == ["more"] * (QUEUE + 10)
+
+
+def test_what_another_process_told_is_not_told_again(database, organisation, tell):
+    async def scenario() -> str:
+        ids = tell("one", "two")
+        hub = LiveHub(database, poll_s=0.001)
+        early = hub.changes(organisation.id, 0)
+        await anext(early)
+        hub._cursor = ids[0] - 1  # as if this process had not seen them yet
+        ahead = hub.changes(organisation.id, ids[1])
+        coming = asyncio.ensure_future(anext(ahead))
+        await asyncio.to_thread(tell, "three")
+        kind = (await coming).kind
+        for generator in (early, ahead):
+            await generator.aclose()
+        return kind
+
+    assert asyncio.run(scenario()) == "three"
 
 
 def test_the_table_is_left_alone_while_nobody_listens(database, organisation, tell, monkeypatch):
