@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nav_core.mounting.model import CLIMB, Noise, V, pitch_system, turned, yaw_system
-from nav_core.mounting.stretch import Record, at, integrate, steps_of
+from nav_core.mounting.model import HEIGHT, LONGEST_STEP, Noise, V, pitch_system, turned, yaw_system
+from nav_core.mounting.stretch import Record, Steps, at, integrate, steps_of
 from nav_core.mounting.whitening import Channel, whiten
 from nav_core.typing import Floats
 
@@ -53,7 +53,7 @@ def level_basis(f: Floats) -> Floats:
     helper = np.eye(3)[np.argmin(np.abs(down))]
     e1 = helper - down * (helper @ down)
     e1 /= np.linalg.norm(e1)
-    return np.stack([e1, np.cross(down, e1), down])
+    return np.asarray(np.stack([e1, np.cross(down, e1), down]), dtype=np.float64)
 
 
 def _planes(record: Record, level: Floats, lag: float, noise: Noise) -> tuple[Channel, Channel]:
@@ -63,30 +63,34 @@ def _planes(record: Record, level: Floats, lag: float, noise: Noise) -> tuple[Ch
     inputs = np.column_stack([frame.f[:, :2], frame.f[:, :2] * frame.inverse_speed[:, None], frame.inverse_speed])
     total = np.diff(at(record, steps.when, integrate(record, inputs)), axis=0, prepend=0.0)
     total[steps.broken] = 0.0
-    count = steps.when.size
-    along = np.zeros((count, 1, 5))
-    along[:, 0, 1:3], along[:, 0, 3] = total[:, :2], steps.dt
+    return _along(record, steps, total, noise), _across(record, steps, total, noise)
+
+
+def _along(record: Record, steps: Steps, total: Floats, noise: Noise) -> Channel:
+    fixes, count = record.fixes, steps.when.size
+    U = np.zeros((count, 1, 5))
+    U[:, 0, 1:3], U[:, 0, 3] = total[:, :2], steps.dt
     size = np.hypot(total[:, 0], total[:, 1])
     P0, Phi, Q, H, r = pitch_system(record, steps, noise, size, np.zeros(count))
-    r[:, 2] = np.nan
-    Q[:, CLIMB, CLIMB] = 0.0
+    r[:, 2] = np.nan  # the vertical force waits for the refinement
     Y = np.zeros((count, 3, 5))
-    Y[:, 0, 0], Y[:, 1, 0] = record.fixes.speed, np.nan_to_num(record.fixes.alt)
-    x0 = np.zeros(10)
-    x0[V], x0[4] = record.fixes.speed[0], Y[0, 1, 0]
-    pitch = Channel(x0, P0, Phi, Q, np.array([V]), along, H, Y, r, np.zeros(3), np.arange(4))
-    across = np.zeros((count, 1, 5))
-    across[:, 0, 1], across[:, 0, 2], across[:, 0, 4] = total[:, 3], -total[:, 2], total[:, 4]
-    across[:, 0, 1:3] = np.column_stack([total[:, 3], -total[:, 2]])
+    Y[:, 0, 0], Y[:, 1, 0] = fixes.speed, np.nan_to_num(fixes.alt)
+    x0 = np.zeros(P0.shape[0])
+    x0[V], x0[HEIGHT] = Y[0, 0, 0], Y[0, 1, 0]
+    return Channel(x0, P0, Phi, Q, np.array([V]), U, H, Y, r, np.zeros(3), np.arange(4))
+
+
+def _across(record: Record, steps: Steps, total: Floats, noise: Noise) -> Channel:
+    fixes, count = record.fixes, steps.when.size
+    U = np.zeros((count, 1, 5))
+    U[:, 0, 1], U[:, 0, 2], U[:, 0, 4] = total[:, 3], -total[:, 2], total[:, 4]
     elapsed = np.diff(steps.when, prepend=steps.when[:1])
-    lost = steps.broken | np.isnan(record.fixes.course) | (elapsed > 3.0)
-    driven = np.column_stack([total[:, 2], np.hypot(total[:, 2], total[:, 3]), total[:, 2], total[:, 4]])
-    Phi, Q, H, r = yaw_system(record.fixes, steps, noise, driven, lost)
+    size = np.hypot(total[:, 2], total[:, 3])
+    P0, Phi, Q, H, r = yaw_system(fixes, steps, noise, size, total[:, 4], steps.broken | (elapsed > LONGEST_STEP))
     Y = np.zeros((count, 1, 5))
-    Y[:, 0, 0] = np.nan_to_num(record.fixes.course)
-    P0 = np.diag([100.0, noise.bank**2, noise.across_slow**2, 0.0])
-    yaw = Channel(np.zeros(4), P0, Phi, Q, np.array([0]), across, H, Y, r, np.array([2.0 * np.pi]), np.arange(4))
-    return pitch, yaw
+    Y[:, 0, 0] = np.nan_to_num(fixes.course)
+    x0 = np.zeros(P0.shape[0])
+    return Channel(x0, P0, Phi, Q, np.array([0]), U, H, Y, r, np.array([2.0 * np.pi]), np.arange(4))
 
 
 def start(record: Record, noise: Noise) -> Start:
@@ -115,20 +119,19 @@ def start(record: Record, noise: Noise) -> Start:
             )
         )
     information = np.diag([1e-2, 1e-2, INTERCEPT**-2, INTERCEPT**-2])
-    best: tuple[float, Floats, Floats, int, int] | None = None
+    trials: list[tuple[float, int, int, Floats, Floats]] = []
     for i, (along, _) in enumerate(grams):
         for j, (_, across) in enumerate(grams):
             gram = along + across
-            A = gram[1:, 1:] + information
-            p = -np.linalg.solve(A, gram[1:, 0])
-            cost = gram[0, 0] + gram[1:, 0] @ p + LAG_GRID[i] + LAG_GRID[j]
-            if best is None or cost < best[0]:
-                best = (float(cost), p, np.linalg.inv(A), i, j)
-    assert best is not None
-    _, p, covariance, i, j = best
+            p = -np.asarray(np.linalg.solve(gram[1:, 1:] + information, gram[1:, 0]), dtype=np.float64)
+            # A shade in favour of short lags: on a straight road every lag of the course is as good.
+            cost = float(gram[0, 0] + gram[1:, 0] @ p + LAG_GRID[i] + LAG_GRID[j])
+            trials.append((cost, i, j, p, gram[1:, 1:] + information))
+    _, i, j, p, posterior = min(trials, key=lambda trial: trial[0])
     strength = float(np.hypot(p[0], p[1]))
-    c, s = p[:2] / max(strength, 1e-9)
-    across = np.array([-s, c])
-    sigma = float(np.sqrt(across @ covariance[:2, :2] @ across) / max(strength, 1e-9))
+    heading = np.arctan2(p[1], p[0])
+    c, s = np.cos(heading), np.sin(heading)
+    across = np.array([-s, c, 0.0, 0.0])
+    sigma = float(np.sqrt(across @ np.linalg.solve(posterior, across)) / max(strength, 1e-9))
     R_va = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) @ level
     return Start(R_va, float(LAG_GRID[i]), float(LAG_GRID[j]), strength, sigma)

@@ -97,6 +97,9 @@ class Noise:
     """Of the receiver: mean and deviation, s."""
 
 
+LONGEST_STEP = 3.0
+"""Between fixes further apart the course is not followed, s."""
+
 FLOOR_SPEED = 1.0
 """Divisor's floor where course is integrated, m/s."""
 
@@ -293,14 +296,13 @@ def yaw_plane(record: Record, R_va: Floats, lags: tuple[float, float], noise: No
     turn_rate = gps_rate(record.fixes.t, unrolled(record.fixes.course))
     U[:, 0, 1 + ROLL_GAIN] = -turn_rate * steps.dt
     U[:, 0, 1 + LEVER_X] = -spin
-    lost = steps.broken | np.isnan(record.fixes.course) | (elapsed > 3.0)
-    Phi, Q, H, r = yaw_system(record.fixes, steps, noise, total, lost)
+    lost = steps.broken | (elapsed > LONGEST_STEP)
+    P0, Phi, Q, H, r = yaw_system(record.fixes, steps, noise, total[:, 1], total[:, 3], lost)
     Y = np.zeros((steps.when.size, 1, c))
     # Ahead of the point that does not slip, the track points into the turn.
     Y[:, 0, 0] = np.nan_to_num(record.fixes.course) - noise.lever[0] * w * inverse_now
     Y[:, 0, 1 + COURSE_LAG] = turn_rate
     Y[:, 0, 1 + LEVER_X] = Y[:, 0, 1 + ANTENNA_X] = -w * inverse_now
-    P0 = np.diag([100.0, noise.bank**2, noise.across_slow**2, 0.0])
     columns = np.concatenate([[0], 1 + YAW_UNKNOWNS])
     return Channel(
         np.zeros(4),
@@ -318,27 +320,32 @@ def yaw_plane(record: Record, R_va: Floats, lags: tuple[float, float], noise: No
 
 
 def yaw_system(
-    fixes: Fixes, steps: Steps, noise: Noise, total: Floats, lost: Flags
-) -> tuple[Floats, Floats, Floats, Floats]:
-    """Transition, noise and measurement rows of the yaw plane."""
+    fixes: Fixes, steps: Steps, noise: Noise, change: Floats, inverse: Floats, lost: Flags
+) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+    """Start, transition, noise and measurement rows of the yaw plane.
+
+    `change` is the turn that the lateral force makes in each step, `inverse` one over the speed,
+    integrated; where the course is `lost`, or too slow to follow, the thread begins anew.
+    """
     count = fixes.t.size
     Phi, Q = np.zeros((count, 4, 4)), np.zeros((count, 4, 4))
     Phi[:, 0, 0] = Phi[:, 3, 3] = 1.0
-    Phi[:, 0, 3] = -total[:, 3]
-    Phi[:, 0, 1] = -GRAVITY * total[:, 3]
+    Phi[:, 0, 3] = -inverse
+    Phi[:, 0, 1] = -GRAVITY * inverse
     along = np.exp(-steps.distance / noise.bank_length)
     Phi[:, 1, 1], Q[:, 1, 1] = along, (1.0 - along**2) * noise.bank**2
     elapsed = np.diff(steps.when, prepend=steps.when[:1])
     Q[:, 3, 3] = noise.drift**2 * elapsed
     decay, fresh = _slow(elapsed, noise.slow_time)
     Phi[:, 2, 2], Q[:, 2, 2] = decay, fresh * noise.across_slow**2
-    slack = np.where(steps.dt > 0.0, total[:, 3] ** 2 / np.maximum(steps.dt, 1e-3), 0.0)
-    Q[:, 0, 0] = noise.force**2 * slack + (noise.relative_turn * total[:, 1]) ** 2 + np.where(lost, 100.0, 0.0)
-    inverse = 1.0 / np.maximum(fixes.speed, FLOOR_SPEED)
+    slack = np.where(steps.dt > 0.0, inverse**2 / np.maximum(steps.dt, 1e-3), 0.0)
+    anew = np.where(lost | np.isnan(fixes.course), 100.0, 0.0)
+    Q[:, 0, 0] = noise.force**2 * slack + (noise.relative_turn * change) ** 2 + anew
+    now = 1.0 / np.maximum(fixes.speed, FLOOR_SPEED)
     H = np.zeros((count, 1, 4))
-    H[:, 0, 0], H[:, 0, 2] = 1.0, inverse
-    r = np.where(np.isfinite(fixes.course), (noise.across_white * inverse) ** 2 + 1e-6, np.nan)[:, None]
-    return Phi, Q, H, r
+    H[:, 0, 0], H[:, 0, 2] = 1.0, now
+    r = np.where(np.isfinite(fixes.course), (noise.across_white * now) ** 2 + 1e-6, np.nan)[:, None]
+    return np.diag([100.0, noise.bank**2, noise.across_slow**2, 0.0]), Phi, Q, H, r
 
 
 def prior(noise: Noise, lags: tuple[float, float]) -> tuple[Floats, Floats]:

@@ -122,17 +122,19 @@ def pieces_of(record: Record, noise: Noise, *, depth: int = MAX_DEPTH) -> list[P
 
 def _confirmed(record: Record, when: float, noise: Noise) -> tuple[Record, Record] | None:
     """Both sides of a suspected move, with the moment sharpened; None when they agree."""
+    sides = _sides(record, when)
     for _ in range(2):
-        sides = _sides(record, when)
         if sides is None:
             return None
         before, after = (solve(side, noise) for side in sides)
+        if not _differ(sides, before, after):
+            return None
         sharper = _moment(record, before.fit, after.fit, noise)
         if abs(sharper - when) < BLOCK:
             break
         when = sharper
-    sides = _sides(record, when)
-    return sides if sides is not None and _differ(sides, before, after) else None
+        sides = _sides(record, when)
+    return sides
 
 
 def _sides(record: Record, when: float) -> tuple[Record, Record] | None:

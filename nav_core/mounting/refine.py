@@ -64,9 +64,10 @@ class Fit:
     def solve(self, gram: Floats) -> tuple[Floats, Floats]:
         """Unknowns and covariance from some of the evidence, shapes (..., 13) and (..., 13, 13)."""
         information = gram[..., 1:, 1:] + np.diag(self.prior + 1e-6)
-        covariance = np.linalg.inv(information)
+        covariance = np.asarray(np.linalg.inv(information), dtype=np.float64)
         pull = self.prior_pull - gram[..., 1:, 0]
-        return np.einsum("...ij,...j->...i", covariance, pull), covariance
+        solution: Floats = np.einsum("...ij,...j->...i", covariance, pull)
+        return solution, covariance
 
 
 def weigh(

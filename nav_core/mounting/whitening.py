@@ -68,7 +68,9 @@ class Evidence(NamedTuple):
 
 
 @kernel
-def _predict(Phi: Floats, Q: Floats, X: Floats, P: Floats, carried: Floats, half: Floats) -> None:
+def _predict(  # noqa: C901, PLR0912  unrolled products that skip zeros
+    Phi: Floats, Q: Floats, X: Floats, P: Floats, carried: Floats, half: Floats
+) -> None:
     """``X <- Phi X``, ``P <- Phi P Phi' + Q`` in place; most of Phi is zero."""
     n, c = X.shape
     for a in range(n):
@@ -97,7 +99,7 @@ def _predict(Phi: Floats, Q: Floats, X: Floats, P: Floats, carried: Floats, half
 
 
 @kernel
-def _correct(
+def _correct(  # noqa: C901, PLR0912  unrolled products that skip zeros
     h: Floats,
     y: Floats,
     r: float,
@@ -248,24 +250,24 @@ def whiten_reference(channel: Channel, block: Integers, blocks: int, p: Floats, 
     """What `whiten` computes, in plain array code."""
     k, c = channel.Y.shape[1], channel.Y.shape[2]
     gram, number, log_det = np.zeros((blocks, k, c, c)), np.zeros((blocks, k)), np.zeros((blocks, k))
-    X = np.zeros((channel.x0.size, c))
-    X[:, 0] = channel.x0
-    P = channel.P0
+    state = np.zeros((channel.x0.size, c))
+    state[:, 0] = channel.x0
+    covariance = channel.P0
     weights = np.concatenate([[1.0], p[channel.unknowns]])
     for i in range(block.size):
-        X = channel.Phi[i] @ X
-        X[channel.driven] += channel.U[i]
-        P = channel.Phi[i] @ P @ channel.Phi[i].T + channel.Q[i]
+        state = channel.Phi[i] @ state
+        state[channel.driven] += channel.U[i]
+        covariance = channel.Phi[i] @ covariance @ channel.Phi[i].T + channel.Q[i]
         for m in np.flatnonzero(np.isfinite(channel.r[i])):
             h = channel.H[i, m]
-            e = channel.Y[i, m] - h @ X
+            e = channel.Y[i, m] - h @ state
             if channel.period[m] > 0.0:
                 e[0] -= channel.period[m] * np.round(e @ weights / channel.period[m])
-            variance = h @ P @ h + channel.r[i, m]
+            variance = h @ covariance @ h + channel.r[i, m]
             variance *= max(1.0, abs(e @ weights) / np.sqrt(variance) / limit)
-            gain = P @ h / variance
-            X = X + np.outer(gain, e)
-            P = P - np.outer(gain, P @ h)
+            gain = covariance @ h / variance
+            state = state + np.outer(gain, e)
+            covariance = covariance - np.outer(gain, covariance @ h)
             gram[block[i], m] += np.outer(e, e) / variance
             number[block[i], m] += 1.0
             log_det[block[i], m] += np.log(variance)

@@ -6,28 +6,13 @@ a route runs; the dependencies here hand the caller to the route and state what 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Annotated, Literal, cast
+from typing import Annotated, cast
 
 from fastapi import Depends
 from starlette.requests import HTTPConnection
 
+from server.accounts.caller import Caller
 from server.errors import ForbiddenError, UnauthenticatedError
-
-
-@dataclass(frozen=True, slots=True)
-class Caller:
-    """An authenticated caller.
-
-    ``admin`` holds the administrator's token, ``session`` is a signed-in browser, ``device`` a box,
-    ``ticket`` a view that was opened for one device.
-    """
-
-    organisation_id: str
-    kind: Literal["admin", "session", "device", "ticket"]
-    session_id: str | None = None
-    csrf_token: str | None = None
-    device_id: str | None = None
 
 
 async def caller_of(connection: HTTPConnection) -> Caller:
@@ -63,3 +48,15 @@ AnyCaller = Annotated[Caller, Depends(caller_of)]
 Reader = Annotated[Caller, Depends(reader)]
 Administrator = Annotated[Caller, Depends(administrator)]
 DeviceCaller = Annotated[Caller, Depends(device_caller)]
+
+__all__ = [
+    "Administrator",
+    "AnyCaller",
+    "Caller",
+    "DeviceCaller",
+    "Reader",
+    "administrator",
+    "caller_of",
+    "device_caller",
+    "reader",
+]

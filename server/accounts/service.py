@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from sqlalchemy import delete, select
 from sqlalchemy.orm import Session
 
-from server.accounts.access import Caller
+from server.accounts.caller import Caller
 from server.accounts.secrets import hash_of, new_code, new_token
 from server.errors import UnauthenticatedError
 from server.models import Device, Organisation, SignInCode, WebSession

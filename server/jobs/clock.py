@@ -6,10 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from nav_core.timebase import fit_clock
 from nav_core.typing import Floats
-
-DRIFT_SPAN_S = 600.0
-"""Drift is fitted over at least this span; over less it would be the fixes' lag jitter."""
 
 PAIRS = 720
 """Batches whose fixes take part in the fit, the newest."""
@@ -35,22 +33,13 @@ class BootClock:
 
 
 def from_fixes(t: Floats, offset: Floats) -> BootClock:
-    """Clock from pairs of box time and UTC minus box time, one per batch: a robust line.
-
-    The slope is the median of the slopes between pairs in the first and the second half (Theil-Sen
-    on a thinned set), so a few receivers' lies about UTC do not bend it.
-    """
-    order = np.argsort(t, kind="stable")
-    t, offset = t[order], offset[order]
-    drift = 0.0
-    if t.size >= 4 and t[-1] - t[0] >= DRIFT_SPAN_S:
-        half = t.size // 2
-        drift = float(np.median((offset[-half:] - offset[:half]) / (t[-half:] - t[:half])))
-        drift = drift if abs(drift) <= MAX_DRIFT else 0.0
-    residual = offset - drift * t
-    middle = float(np.median(residual))
-    scatter = 1.4826 * float(np.median(np.abs(residual - middle)))
-    return BootClock(middle, drift, float(np.hypot(scatter, LAG_SIGMA_S)), "gnss")
+    """Clock from pairs of box time and UTC minus box time, one per batch."""
+    order = np.argsort(t, kind="stable")  # sums round alike whichever batch came first
+    fit = fit_clock(t[order], t[order] + offset[order])
+    if abs(fit.drift) > MAX_DRIFT:
+        return BootClock(float(np.median(offset)), 0.0, ARRIVAL_SIGMA_S, "gnss")
+    sigma = float(np.sqrt(fit.sigma**2 + fit.scatter**2 + LAG_SIGMA_S**2))
+    return BootClock(fit.utc_ref - (1.0 + fit.drift) * fit.t_ref, fit.drift, sigma, "gnss")
 
 
 def from_arrival(offset_s: float) -> BootClock:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
-from server.models import BatchDigest, Installation, MountingRevision, TrackPoint, Trip
+from server.models import BatchDigest, Installation, MountingRevision, Trip
 from server.models.base import Base
 
 
@@ -26,7 +26,8 @@ class Results:
     """New rows, and rows that were read and changed since."""
     digests: list[BatchDigest] = field(default_factory=list[BatchDigest])
     revisions: list[MountingRevision] = field(default_factory=list[MountingRevision])
-    points: list[TrackPoint] = field(default_factory=list[TrackPoint])
+    points: list[dict[str, Any]] = field(default_factory=list[dict[str, Any]])
+    """Columns of track points: too many for an object each."""
     replaced_trips: list[str] = field(default_factory=list[str])
     """Ids of trips to delete with their track, before the rows are written."""
     announcements: list[Announcement] = field(default_factory=list[Announcement])

@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from server.jobs.mountings import vehicle_at
 from server.jobs.results import Results
 from server.jobs.situation import Situation
 from server.jobs.stretch import Piece
-from server.models import Boot, TrackPoint, Trip, new_id
+from server.models import Boot, Trip, new_id
 from server.trips.track import ALGORITHM, REST_S, Point, Track, TrackState, TripPiece, TripTotals
 
 REMAP_S = 0.5
@@ -129,14 +130,14 @@ def _overlap(old: Trip, totals: TripTotals) -> bool:
     return old.t_first_s <= totals.t_last and totals.t_first <= old.t_last_s
 
 
-def _track_point(trip_id: str, boot: Boot, point: Point) -> TrackPoint:
-    return TrackPoint(
-        trip_id=trip_id,
-        at=boot.utc(point.t),
-        t_s=point.t,
-        lat_deg=math.degrees(point.lat),
-        lon_deg=math.degrees(point.lon),
-        alt_m=point.alt,
-        speed_mps=point.speed,
-        course_rad=point.course,
-    )
+def _track_point(trip_id: str, boot: Boot, point: Point) -> dict[str, Any]:
+    return {
+        "trip_id": trip_id,
+        "t_s": point.t,
+        "at": boot.utc(point.t),
+        "lat_deg": math.degrees(point.lat),
+        "lon_deg": math.degrees(point.lon),
+        "alt_m": point.alt,
+        "speed_mps": point.speed,
+        "course_rad": point.course,
+    }

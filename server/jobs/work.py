@@ -327,7 +327,7 @@ class Round:
         session.flush()
         session.add_all(results.revisions)
         if results.points:
-            session.execute(insert(TrackPoint), [_columns(point) for point in results.points])
+            session.execute(insert(TrackPoint), results.points)
         for announcement in results.announcements:
             announce(
                 session,
@@ -358,7 +358,3 @@ def _by_boot(pieces: list[Piece]) -> dict[str, list[Piece]]:
 
 def _known(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
-
-
-def _columns(point: TrackPoint) -> dict[str, Any]:
-    return {column.key: getattr(point, column.key) for column in TrackPoint.__table__.columns}

@@ -9,6 +9,7 @@ import socket
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import httpx
 import numpy as np
@@ -452,3 +453,10 @@ def test_nothing_is_acknowledged_that_is_not_durable(app, client, make_device, d
     with database.reading() as session:
         assert session.scalar(sa.select(sa.func.count()).select_from(Batch)) == 0
     assert box.send(0).json()["duplicate"] is False
+
+
+def test_the_documented_example_is_true(box):
+    text = (Path(__file__).parents[2] / "docs" / "device-protocol.md").read_text(encoding="utf-8")
+    body = text.split("echo '", 1)[1].split("' | gzip", 1)[0].encode()
+    answer = box.send(0, gzip.compress(body), Content_Encoding="gzip", boot="boot-7")
+    assert (answer.status_code, answer.json()["next_sequence"]) == (202, 1), answer.text

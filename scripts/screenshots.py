@@ -1,0 +1,76 @@
+"""Pictures of the pages for README and docs: starts the demo on fresh data, waits, and looks.
+
+.venv/bin/python scripts/screenshots.py docs/img
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from playwright.sync_api import Page, sync_playwright
+
+SHOWN = "Iveco Daily"
+FLAGS = ("--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
+
+
+def main() -> None:
+    out = Path(sys.argv[1])
+    out.mkdir(parents=True, exist_ok=True)
+    with TemporaryDirectory() as data:
+        environment = os.environ | {"SCATOLA_DATA_DIR": data, "SCATOLA_PORT": "0"}
+        command = [sys.executable, "-m", "server.cli.main", "demo"]
+        with subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) as demo:  # noqa: S603  ours
+            assert demo.stdout is not None
+            link = next(match[0] for line in demo.stdout if (match := re.search(r"http\S+/login\?code=\S+", line)))
+            try:
+                take(link, out)
+            finally:
+                demo.send_signal(signal.SIGINT)
+
+
+def take(link: str, out: Path) -> None:
+    """Sign in and photograph the fleet and one vehicle, on a desk and on a phone, light and dark."""
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=list(FLAGS))
+        context = browser.new_context(viewport={"width": 1280, "height": 900})
+        page = context.new_page()
+        page.set_default_timeout(120_000)
+        page.goto(link)
+        page.get_by_role("button").click()
+        page.get_by_role("row", name=SHOWN).get_by_text("moved").wait_for()
+        photograph(page, out / "fleet.png", settle_s=8)
+        page.get_by_role("link", name=SHOWN).first.click()
+        page.wait_for_load_state()
+        photograph(page, out / "vehicle.png", settle_s=40, full_page=True)
+        address, state = page.url, context.storage_state()
+        page.close()
+        phone = browser.new_context(viewport={"width": 390, "height": 844}, color_scheme="dark", storage_state=state)
+        page = phone.new_page()
+        page.set_default_timeout(120_000)
+        page.goto(address)
+        photograph(page, out / "vehicle-phone.png", settle_s=40)
+        browser.close()
+
+
+def photograph(page: Page, path: Path, *, settle_s: float, full_page: bool = False) -> None:
+    """Close viser's remark on software rendering, let the 3D view and the maps finish, and take the picture."""
+    deadline = time.monotonic() + settle_s
+    while time.monotonic() < deadline:
+        page.wait_for_timeout(500)
+        for frame in page.frames:
+            notice = frame.locator(".mantine-Notification-closeButton")
+            if notice.count():
+                notice.first.click()
+    page.screenshot(path=path, full_page=full_page)
+
+
+if __name__ == "__main__":
+    main()

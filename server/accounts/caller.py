@@ -1,0 +1,21 @@
+"""Who is calling; known to services, which know nothing of the web framework."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+
+@dataclass(frozen=True, slots=True)
+class Caller:
+    """An authenticated caller.
+
+    ``admin`` holds the administrator's token, ``session`` is a signed-in browser, ``device`` a box,
+    ``ticket`` a view that was opened for one device.
+    """
+
+    organisation_id: str
+    kind: Literal["admin", "session", "device", "ticket"]
+    session_id: str | None = None
+    csrf_token: str | None = None
+    device_id: str | None = None
