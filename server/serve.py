@@ -16,6 +16,7 @@ from server.accounts.service import first_sign_in
 from server.app import create_app
 from server.database import Database
 from server.jobs.supervise import Child, Supervisor, scatola
+from server.live.hub import LiveHub
 from server.migrations import is_current, upgrade
 from server.settings import Settings
 from server.telemetry import configure_logging
@@ -74,19 +75,26 @@ def serve(
             ws_max_size=1024 * 1024,
             timeout_graceful_shutdown=_FINISH_REQUESTS_S,
         )
-        _Server(config, greet).run(sockets=[sock])
+        _Server(config, greet, app).run(sockets=[sock])
 
 
 class _Server(uvicorn.Server):
-    """Tells when it listens."""
+    """Tells when it listens, and ends the live streams, which end by themselves never."""
 
-    def __init__(self, config: uvicorn.Config, started: Callable[[], None]) -> None:
+    def __init__(self, config: uvicorn.Config, started: Callable[[], None], app: FastAPI) -> None:
         super().__init__(config)
         self._tell = started
+        self._app = app
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         await super().startup(sockets)
         self._tell()
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        live: LiveHub | None = getattr(self._app.state, "live", None)
+        if live is not None:
+            live.close()
+        await super().shutdown(sockets)
 
 
 def _children(app: FastAPI) -> list[Child]:

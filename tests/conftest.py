@@ -17,34 +17,29 @@ import time
 import uuid
 from collections.abc import Callable, Generator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import httpx
 import pytest
-import sqlalchemy as sa
-import structlog
-import uvicorn
-from fastapi import FastAPI
-from sqlalchemy.exc import OperationalError
 
-from server.accounts.service import ensure_organisation
-from server.app import create_app
-from server.database import Database
-from server.migrations import upgrade
-from server.models import Base, Organisation
-from server.settings import Settings
+# The service is imported by the fixtures that need it: the tests of nav_core need none of it.
+if TYPE_CHECKING:
+    import httpx
+    from fastapi import FastAPI
+
+    from server.database import Database
+    from server.models import Organisation
+    from server.settings import Settings
 
 ADMIN_TOKEN = "test-administrator"
 POSTGRES = "postgresql+psycopg://root@127.0.0.1:5432"
 REQUIRE_SERVICES = os.environ.get("SCATOLA_TEST_REQUIRE_SERVICES") == "1"
 
-Serve = Callable[[FastAPI], str]
+Serve = Callable[["FastAPI"], str]
 MakeDevice = Callable[..., tuple[str, str]]
 
 
 def pytest_configure(config):
     config.addinivalue_line("markers", "both_databases: runs on SQLite and on PostgreSQL")
-    # The service logs from its own thread, past pytest's capture.
-    structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(logging.CRITICAL))
 
 
 def pytest_generate_tests(metafunc):
@@ -78,6 +73,9 @@ class TestClock:
 @pytest.fixture(scope="session")
 def sqlite_template(tmp_path_factory) -> Path:
     """A migrated database to copy: migrating anew for each test would take most of its time."""
+    from server.migrations import upgrade
+    from server.settings import Settings
+
     folder = tmp_path_factory.mktemp("template")
     upgrade(Settings(data_dir=folder, database_url=None))
     return folder / "scatola.sqlite3"
@@ -86,6 +84,12 @@ def sqlite_template(tmp_path_factory) -> Path:
 @pytest.fixture(scope="session")
 def postgres_url() -> Generator[str]:
     """URL of a migrated throw-away database."""
+    import sqlalchemy as sa
+    from sqlalchemy.exc import OperationalError
+
+    from server.migrations import upgrade
+    from server.settings import Settings
+
     name = f"scatola_test_{uuid.uuid4().hex[:12]}"
     server = sa.create_engine(f"{POSTGRES}/postgres", isolation_level="AUTOCOMMIT")
     try:
@@ -112,6 +116,8 @@ def dialect(request) -> str:
 @pytest.fixture
 def settings(request, tmp_path, monkeypatch, dialect) -> Settings:
     """Settings of an installation of its own, whatever the environment says."""
+    from server.settings import Settings
+
     for name in list(os.environ):
         if name.startswith("SCATOLA_") and not name.startswith("SCATOLA_TEST_"):
             monkeypatch.delenv(name)
@@ -127,6 +133,9 @@ def settings(request, tmp_path, monkeypatch, dialect) -> Settings:
 @pytest.fixture
 def database(settings, dialect) -> Generator[Database]:
     """The settings' database, empty and migrated."""
+    from server.database import Database
+    from server.models import Base
+
     database = Database(settings)
     yield database
     if dialect == "postgresql":
@@ -144,6 +153,12 @@ def clock() -> TestClock:
 @pytest.fixture
 def app(settings, database, clock) -> FastAPI:
     """The application; not started."""
+    import structlog
+
+    from server.app import create_app
+
+    # The service logs from its own thread, past pytest's capture.
+    structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(logging.CRITICAL))
     del database  # emptied after the app is gone
     return create_app(settings, clock=clock)
 
@@ -157,6 +172,8 @@ def serve() -> Generator[Serve]:
 
 @contextlib.contextmanager
 def _served(app: FastAPI) -> Generator[str]:
+    import uvicorn
+
     server = uvicorn.Server(
         uvicorn.Config(
             app, host="127.0.0.1", port=0, log_config=None, access_log=False, lifespan="on", timeout_graceful_shutdown=1
@@ -186,6 +203,8 @@ def address(app, serve) -> str:
 @pytest.fixture
 def client(address) -> Generator[httpx.Client]:
     """A client without credentials; it follows no redirects."""
+    import httpx
+
     with httpx.Client(base_url=address, timeout=30.0) as client:
         yield client
 
@@ -193,6 +212,8 @@ def client(address) -> Generator[httpx.Client]:
 @pytest.fixture
 def admin(address) -> Generator[httpx.Client]:
     """A client with the administrator's token."""
+    import httpx
+
     headers = {"Authorization": f"Bearer {ADMIN_TOKEN}"}
     with httpx.Client(base_url=address, headers=headers, timeout=30.0) as client:
         yield client
@@ -201,6 +222,8 @@ def admin(address) -> Generator[httpx.Client]:
 @pytest.fixture
 def organisation(database, clock) -> Organisation:
     """The default organisation, also without a running service."""
+    from server.accounts.service import ensure_organisation
+
     with database.transaction() as session:
         return ensure_organisation(session, now=clock())
 

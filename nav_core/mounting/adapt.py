@@ -18,6 +18,9 @@ from nav_core.mounting.whitening import whiten
 from nav_core.typing import Floats
 
 _LADDER = (1.0, 1.5, 2.2, 3.3, 5.0, 8.0)
+_MOST = {("drift",): 3.3}
+"""No accelerometer drifts faster; left free, drift would explain away what tilt and slope should."""
+
 _PITCH_LEVELS = (("speed_white", "speed_slow"), ("heave",), ("force", "relative"), ("slope",), ("drift",))
 _YAW_LEVELS = (("across_white", "across_slow"), ("bank",), ("relative_turn",))
 GAIN = 6.0
@@ -68,7 +71,7 @@ def _climb(found: Noise, base: Noise, groups: tuple[tuple[str, ...], ...], cost:
     while True:
         trials: list[tuple[float, tuple[str, ...], Noise]] = []
         for group, level in height.items():
-            if level + 1 < len(_LADDER):
+            if level + 1 < len(_LADDER) and _LADDER[level + 1] <= _MOST.get(group, np.inf):
                 scale = _LADDER[level + 1]
                 trial = replace(found, **{name: getattr(base, name) * scale for name in group})
                 trials.append((cost(trial), group, trial))

@@ -27,6 +27,7 @@ from nav_core.mounting.stretch import (
     Record,
     Steps,
     at,
+    clear_rate,
     gps_rate,
     integrate,
     smoothed,
@@ -123,20 +124,31 @@ class Frame(NamedTuple):
     """V axes of the present estimate, m/s², shape (m, 3)."""
     w: Floats
     """Turn rate, rad/s, shape (m,)."""
+    lateral: Floats
+    """Speed times turn rate, m/s², shape (m,)."""
     inverse_speed: Floats
     """s/m, shape (m,)."""
+
+
+TURN_SPAN = 4.0
+"""Half width of the means that divide the turn rate between receiver and accelerometer, s."""
 
 
 def turned(record: Record, R_va: Floats, lag: float) -> Frame:
     """The ticks in the V axes of the present estimate.
 
-    Turn rate comes from the lateral force over speed, so it is as smooth as the accelerometer.
+    Turn rate is lateral force over speed where it is quick, and the receiver's where it is slow:
+    the force also feels bank and bias, the receiver is late and coarse.
     """
+    fixes = record.fixes
     f = record.f @ R_va.T
-    speed = np.interp(record.t + lag, record.fixes.t, record.fixes.speed)
+    speed = np.interp(record.t + lag, fixes.t, fixes.speed)
     inverse = 1.0 / np.maximum(speed, FLOOR_SPEED)
-    w = np.where(speed > FLOOR_SPEED, f[:, 1] * inverse, 0.0)
-    return Frame(f, w, inverse)
+    rolling = speed > FLOOR_SPEED
+    felt = np.where(rolling, f[:, 1] * inverse, 0.0)
+    seen = np.where(rolling, np.interp(record.t + lag, fixes.t, gps_rate(fixes.t, unrolled(fixes.course))), 0.0)
+    w = felt + smoothed(record, seen - felt, TURN_SPAN)
+    return Frame(f, w, w * speed, inverse)
 
 
 # States of the pitch plane.
@@ -204,6 +216,31 @@ def pitch_system(record: Record, steps: Steps, noise: Noise, change: Floats, swi
     return P0, Phi, Q, H, r
 
 
+def road_slope(record: Record, felt: Floats, *, fine: float = 2.0, coarse: float = 60.0) -> Floats:
+    """Slope at the ticks, good enough for its square.
+
+    Parameters
+    ----------
+    record : Record
+    felt : ndarray, shape (m,)
+        Longitudinal specific force less acceleration, over gravity.
+    fine, coarse : float
+        Half widths of the means, s: the force gives the waves between them, height the rest, because
+        a bias of the force times the slope would pass for pitch.
+
+    Returns
+    -------
+    ndarray, shape (m,)
+        rad, uphill positive.
+    """
+    fixes = record.fixes
+    waves = smoothed(record, felt, fine)
+    way = np.cumsum(fixes.speed * np.diff(fixes.t, prepend=fixes.t[0]))
+    pace = gps_rate(fixes.t, way, coarse)
+    rise = np.where(pace > 2.0, gps_rate(fixes.t, fixes.alt, coarse) / np.maximum(pace, 2.0), 0.0)
+    return waves - smoothed(record, waves, coarse) + np.interp(record.t, fixes.t, rise)
+
+
 def pitch_plane(record: Record, R_va: Floats, lag: float, noise: Noise) -> Channel:
     """Speed, climb and height against longitudinal and vertical specific force.
 
@@ -227,8 +264,8 @@ def pitch_plane(record: Record, R_va: Floats, lag: float, noise: Noise) -> Chann
     fixes = record.fixes
     acceleration = gps_rate(fixes.t, fixes.speed)
     pushed = np.interp(record.t + lag, fixes.t, acceleration)
-    quadratic = np.column_stack([pushed**2, frame.f[:, 1] ** 2]) / GRAVITY
-    slope = smoothed(record, frame.f[:, 0] - pushed, 2.0) / GRAVITY
+    quadratic = np.column_stack([pushed**2, frame.lateral**2]) / GRAVITY
+    slope = road_slope(record, (frame.f[:, 0] - pushed) / GRAVITY)
     inputs = np.column_stack([frame.f, quadratic, frame.w**2, 0.5 * GRAVITY * slope**2])
     total = _difference(at(record, steps.when, integrate(record, inputs)), steps.broken)
     U = np.zeros((steps.when.size, 2, c))
@@ -236,7 +273,8 @@ def pitch_plane(record: Record, R_va: Floats, lag: float, noise: Noise) -> Chann
     U[:, 0, 0] = keep * total[:, 0] + noise.lever[0] * total[:, 5]
     U[:, 0, 1 + 1], U[:, 0, 1 + 2] = keep * total[:, 2], -keep * total[:, 1]
     U[:, 0, 1 + 3] = -steps.dt
-    U[:, 0, 1 + PITCH_GAIN] = -acceleration * steps.dt
+    change = clear_rate(fixes.t, fixes.speed, noise.speed_white)
+    U[:, 0, 1 + PITCH_GAIN] = -change * steps.dt
     U[:, 0, 1 + LEVER_X] = total[:, 5]
     U[:, 1, 0] = (
         total[:, 2]
@@ -251,7 +289,7 @@ def pitch_plane(record: Record, R_va: Floats, lag: float, noise: Noise) -> Chann
     P0, Phi, Q, H, r = pitch_system(record, steps, noise, total[:, 0], total[:, 1])
     Y = np.zeros((steps.when.size, 3, c))
     Y[:, 0, 0], Y[:, 1, 0] = fixes.speed, np.nan_to_num(fixes.alt)
-    Y[:, 0, 1 + SPEED_LAG] = acceleration
+    Y[:, 0, 1 + SPEED_LAG] = change
     Y[:, 0, 1 + ANTENNA_Y] = at(record, steps.when, frame.w)
     x0 = np.zeros(10)
     x0[V] = fixes.speed[0]
@@ -293,7 +331,8 @@ def yaw_plane(record: Record, R_va: Floats, lags: tuple[float, float], noise: No
     U[:, 0, 0] = keep * total[:, 1] - noise.lever[0] * spin
     U[:, 0, 1 + 0], U[:, 0, 1 + 2] = -keep * total[:, 2], keep * total[:, 0]
     U[:, 0, 1 + 4] = -total[:, 3]
-    turn_rate = gps_rate(record.fixes.t, unrolled(record.fixes.course))
+    course_noise = noise.across_white / np.maximum(record.fixes.speed, FLOOR_SPEED)
+    turn_rate = clear_rate(record.fixes.t, unrolled(record.fixes.course), course_noise)
     U[:, 0, 1 + ROLL_GAIN] = -turn_rate * steps.dt
     U[:, 0, 1 + LEVER_X] = -spin
     lost = steps.broken | (elapsed > LONGEST_STEP)

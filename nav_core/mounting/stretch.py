@@ -135,11 +135,7 @@ def steps_of(record: Record, lag: float) -> Steps:
 
 
 def gps_rate(t: Floats, values: Floats, reach: float = 1.0) -> Floats:
-    """Rate of change of what the receiver says, over `reach` seconds either side.
-
-    The derivatives to lags and suspension gains must not be taken from the accelerometer: that one
-    feels slope and bank as well, and a highway has more of those than of acceleration.
-    """
+    """Rate of change of what the receiver says, over `reach` seconds either side, shape (n,)."""
     known = np.isfinite(values)
     if known.sum() < 2:
         return np.zeros(t.size)
@@ -147,6 +143,18 @@ def gps_rate(t: Floats, values: Floats, reach: float = 1.0) -> Floats:
     ahead = np.interp(t + reach, t[known], values[known])
     behind = np.interp(t - reach, t[known], values[known])
     return (ahead - behind) / (2.0 * reach)
+
+
+def clear_rate(t: Floats, values: Floats, noise: Floats | float) -> Floats:
+    """Rate of change where it stands out of the receiver's `noise` (1 sigma), else nothing, shape (n,).
+
+    The derivatives to lags and suspension gains are taken from this.  The accelerometer would not
+    do: it feels slope and bank as well, and a highway has more of those than of acceleration.  Nor
+    would the bare rate: its noise would pass for knowledge of the lag.
+    """
+    rate = gps_rate(t, values)
+    doubt = 2.0 * noise / np.sqrt(2.0)
+    return rate * np.clip(1.0 - (doubt / np.maximum(np.abs(rate), 1e-9)) ** 2, 0.0, 1.0)
 
 
 def unrolled(course: Floats) -> Floats:

@@ -9,7 +9,6 @@ import numpy as np
 from nav_core.records import Drive, Gnss, Inertial, Remark
 from server.errors import InvalidError
 from server.formats.columns import Columns, Floats, check_values
-from server.formats.csv_text import header_of
 from server.formats.csv_text import read as read_csv
 from server.formats.parquet import read as read_parquet
 from server.formats.tables import write_csv
@@ -143,18 +142,23 @@ def from_drive(drive: Drive) -> Columns:
     return Columns(values)
 
 
+class DriveFileError(ValueError):
+    """A file holds no drive; says which file and why."""
+
+
 def read_drive_columns(path: Path, *, thesis_course_clockwise: bool = False) -> Columns:
     """Checked columns of a file, its format known by its content: Parquet, CSV or the thesis' text line."""
     body = path.read_bytes()
-    if body.startswith(_PARQUET_MAGIC):
-        columns = read_parquet(body, max_decoded_bytes=None)
-    elif is_thesis_line(body):
-        columns = read_thesis(body, course_clockwise=thesis_course_clockwise)
-    elif "t" in header_of(body):
-        columns = read_csv(body, max_decoded_bytes=None)
-    else:
-        raise InvalidError(f"{path}: neither a drive file (CSV with a header, Parquet) nor the thesis' text line")
-    check_values(columns)
+    try:
+        if body.startswith(_PARQUET_MAGIC):
+            columns = read_parquet(body, max_decoded_bytes=None)
+        elif is_thesis_line(body):
+            columns = read_thesis(body, course_clockwise=thesis_course_clockwise)
+        else:
+            columns = read_csv(body, max_decoded_bytes=None)
+        check_values(columns)
+    except InvalidError as error:
+        raise DriveFileError(f"{path} is no drive file (CSV, Parquet, thesis line): {error.detail}") from error
     return columns
 
 

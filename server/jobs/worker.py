@@ -8,6 +8,7 @@ import select
 import signal
 import threading
 from collections.abc import Callable
+from types import FrameType
 
 import structlog
 
@@ -41,8 +42,15 @@ def run(settings: Settings) -> None:
     set_numba_cache_dir()
     os.nice(NICENESS)
     stop = threading.Event()
+
+    def leave(number: int, frame: FrameType | None) -> None:
+        # At once, wherever the work is: an unfinished round leaves nothing behind, and the next worker repeats it.
+        del number, frame
+        stop.set()
+        raise SystemExit(0)
+
     for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda _number, _frame: stop.set())
+        signal.signal(number, leave)
     if settings.broker_url is None:
         run_worker(settings, stop=stop, wake_fd=parent_fd())
     else:

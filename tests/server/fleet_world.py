@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import datetime as dt
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from sqlalchemy import select
@@ -148,14 +147,3 @@ def cut(drive: Drive, seconds=10.0) -> list[Columns]:
     values = from_drive(drive).values
     index = np.floor((values["t"] - values["t"][0]) / seconds + 1e-9).astype(int)
     return [Columns({name: column[index == k] for name, column in values.items()}) for k in range(int(index[-1]) + 1)]
-
-
-def later(drive: Drive, by: float) -> Drive:
-    """The same drive on a box clock that shows more."""
-    return Drive(
-        replace(drive.inertial, t=drive.inertial.t + by), replace(drive.gnss, t=drive.gnss.t + by), drive.remarks
-    )
-
-
-def at_unix(moment: dt.datetime) -> float:
-    return moment.timestamp()

@@ -262,3 +262,14 @@ def test_a_views_ticket_opens_that_view_only(client, admin, make_device, clock):
         assert client.get(path).status_code == 303
     clock.advance(minutes=11)
     assert client.get(url).status_code == 303
+
+
+def test_people_get_error_pages_and_programs_problems(browser):
+    page = browser.get("/vehicles/none", headers={"Accept": "text/html"})
+    assert page.status_code == 404
+    assert page.headers["content-type"].startswith("text/html")
+    assert "Not found" in page.text
+    assert browser.get("/vehicles/none").json()["code"] == "not_found"
+    assert browser.get("/api/v1/vehicles/none", headers={"Accept": "text/html"}).json()["code"] == "not_found"
+    refused = browser.post("/logout", headers={"Accept": "text/html", "X-CSRF-Token": "wrong"})
+    assert (refused.status_code, "Not allowed" in refused.text) == (403, True)

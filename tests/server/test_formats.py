@@ -24,7 +24,7 @@ from nav_core.records import Drive, Gnss, Inertial
 from server.errors import InvalidError, ProblemError, TooLargeError, UnsupportedMediaError
 from server.formats.columns import NAMES, RANGES, Columns, check_values
 from server.formats.decode import decode, media_type_of
-from server.formats.drive import from_drive, read_drive_file, to_drive, write_drive_file
+from server.formats.drive import DriveFileError, from_drive, read_drive_file, to_drive, write_drive_file
 from server.formats.encoding import encoding_of, unpack
 from server.formats.tables import table_of
 
@@ -572,7 +572,7 @@ def test_the_thesis_line(tmp_path):
 def test_files_that_are_no_drive(tmp_path, text):
     path = tmp_path / "drive.txt"
     path.write_text(text)
-    with pytest.raises(InvalidError):
+    with pytest.raises(DriveFileError, match="is no drive file"):
         read_drive_file(path)
 
 

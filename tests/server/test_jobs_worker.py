@@ -158,12 +158,6 @@ def test_a_real_process_works_and_stops_on_sigterm(world, batches, process):
     assert process.wait(10.0) == 0
 
 
-def test_a_real_process_ends_with_its_parent(process):
-    process.stdin.close()
-    process.stdin = None
-    assert process.wait(30.0) == 0
-
-
 def test_a_real_process_killed_in_the_middle_loses_nothing(world, batches, process):
     for k, batch in enumerate(batches):
         world.put(batch, k)

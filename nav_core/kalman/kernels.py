@@ -1,0 +1,200 @@
+"""Kalman steps on plain arrays, compiled: they work in place and can be called from other kernels.
+
+Measurements are folded in one after the other; with independent noise that is the joint update of 000 eqs. 3.3.21,
+3.3.22 without an inverse.  `correlated` measurements are made independent first (`linear.decorrelated`).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from nav_core.typing import Floats, kernel
+
+
+@kernel
+def propagate_covariance(P: Floats, Phi: Floats, Q: Floats) -> None:
+    """Replace `P` by ``Phi P Phi' + Q``, exactly symmetric (000 eq. 3.6.25)."""
+    n = P.shape[0]
+    half = np.zeros((n, n))
+    for i in range(n):
+        for k in range(n):
+            factor = Phi[i, k]
+            # Transition matrices are mostly zeros.
+            if factor != 0.0:
+                for j in range(n):
+                    half[i, j] += factor * P[k, j]
+    for i in range(n):
+        for j in range(i + 1):
+            total = Q[i, j]
+            for k in range(n):
+                total += half[i, k] * Phi[j, k]
+            P[i, j] = total
+            P[j, i] = total
+
+
+@kernel
+def propagate_state(x: Floats, Phi: Floats) -> None:
+    """Replace `x` by ``Phi x`` (000 eq. 3.6.21)."""
+    n = x.shape[0]
+    before = x.copy()
+    for i in range(n):
+        total = 0.0
+        for j in range(n):
+            total += Phi[i, j] * before[j]
+        x[i] = total
+
+
+@kernel
+def joseph_scalar(P: Floats, h: Floats, r: float, gain: Floats) -> None:
+    """Replace `P` by ``(I - k h') P (I - k h')' + k r k'``, valid for any gain (000 eq. 3.11.24, one measurement)."""
+    n = P.shape[0]
+    row, column = np.zeros(n), np.zeros(n)
+    for i in range(n):
+        for j in range(n):
+            row[j] += h[i] * P[i, j]
+    for i in range(n):
+        for j in range(n):
+            P[i, j] -= gain[i] * row[j]
+            column[i] += P[i, j] * h[j]
+    for i in range(n):
+        for j in range(i + 1):
+            # Rounding differs on both sides of the diagonal; over hours it would tear the halves apart.
+            here = P[i, j] + (gain[i] * r - column[i]) * gain[j]
+            there = P[j, i] + (gain[j] * r - column[j]) * gain[i]
+            P[i, j] = P[j, i] = 0.5 * (here + there)
+
+
+@kernel
+def update_scalar(dx: Floats, P: Floats, residual: float, h: Floats, r: float, gate: float) -> float:
+    """Fold one measurement into the correction `dx` and into `P`.
+
+    Parameters
+    ----------
+    dx : ndarray, shape (n,)
+        Correction so far; changed.
+    P : ndarray, shape (n, n)
+        Changed.
+    residual : float
+        Measurement minus its prediction, both before any correction.
+    h : ndarray, shape (n,)
+        Row of the measurement matrix.
+    r : float
+        Variance of the measurement's noise.
+    gate : float
+        The measurement is left out when its squared normalised innovation exceeds this; infinity takes all.
+
+    Returns
+    -------
+    float
+        Squared normalised innovation; with its sign turned when the measurement was left out.
+    """
+    n = dx.shape[0]
+    gain = np.zeros(n)
+    variance, innovation = r, residual
+    for i in range(n):
+        for j in range(n):
+            gain[i] += P[i, j] * h[j]
+    for i in range(n):
+        variance += h[i] * gain[i]
+        innovation -= h[i] * dx[i]
+    chi2 = innovation * innovation / variance
+    if chi2 > gate:
+        return -chi2
+    for i in range(n):
+        gain[i] /= variance
+        dx[i] += gain[i] * innovation
+    joseph_scalar(P, h, r, gain)
+    return chi2
+
+
+@kernel
+def update_sequential(dx: Floats, P: Floats, residual: Floats, H: Floats, r: Floats, gate: float, chi2: Floats) -> int:
+    """Fold in measurements one after the other, linearised once; NaN residuals are skipped.
+
+    Parameters
+    ----------
+    dx : ndarray, shape (n,)
+        Zero at the start, the correction at the end.
+    P : ndarray, shape (n, n)
+        Changed.
+    residual, r, chi2 : ndarray, shape (m,)
+        Residuals; variances; receives what `update_scalar` returns, NaN where skipped.
+    H : ndarray, shape (m, n)
+    gate : float
+
+    Returns
+    -------
+    int
+        How many were used.
+    """
+    used = 0
+    for i in range(residual.shape[0]):
+        if np.isnan(residual[i]):
+            chi2[i] = np.nan
+            continue
+        chi2[i] = update_scalar(dx, P, residual[i], H[i], r[i], gate)
+        if chi2[i] >= 0.0:
+            used += 1
+    return used
+
+
+@kernel
+def run_filter(
+    x: Floats, P: Floats, Phi: Floats, Q: Floats, z: Floats, H: Floats, r: Floats, gate: float
+) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+    """Predict and update over a record; `x` and `P` are the start and become the end.
+
+    The first measurement belongs to the start; before each of the others there is one prediction.
+
+    Parameters
+    ----------
+    x : ndarray, shape (n,)
+    P : ndarray, shape (n, n)
+    Phi, Q : ndarray, shape (k - 1, n, n)
+    z : ndarray, shape (k, m)
+        NaN where not measured.
+    H : ndarray, shape (k, m, n)
+    r : ndarray, shape (k, m)
+    gate : float
+
+    Returns
+    -------
+    tuple of ndarray
+        State and covariance before the update (k, n), (k, n, n); after it; `update_scalar`'s returns (k, m).
+    """
+    steps, m = z.shape
+    n = x.shape[0]
+    x_prior, P_prior = np.empty((steps, n)), np.empty((steps, n, n))
+    x_after, P_after = np.empty((steps, n)), np.empty((steps, n, n))
+    chi2, residual, dx = np.empty((steps, m)), np.empty(m), np.empty(n)
+    for k in range(steps):
+        if k > 0:
+            propagate_state(x, Phi[k - 1])
+            propagate_covariance(P, Phi[k - 1], Q[k - 1])
+        x_prior[k], P_prior[k] = x, P
+        for i in range(m):
+            residual[i] = z[k, i]
+            for j in range(n):
+                residual[i] -= H[k, i, j] * x[j]
+        dx[:] = 0.0
+        update_sequential(dx, P, residual, H[k], r[k], gate, chi2[k])
+        for j in range(n):
+            x[j] += dx[j]
+        x_after[k], P_after[k] = x, P
+    return x_prior, P_prior, x_after, P_after, chi2
+
+
+@kernel
+def smooth_backwards(x_prior: Floats, P_prior: Floats, x: Floats, P: Floats, Phi: Floats) -> None:
+    """Rauch-Tung-Striebel smoother in place: `x` (k, n) and `P` (k, n, n) go in filtered and come out smoothed.
+
+    ``C = P Phi' P_prior^-1`` needs invertible predicted covariances.
+    """
+    n = x.shape[1]
+    for k in range(x.shape[0] - 2, -1, -1):
+        C = np.linalg.solve(P_prior[k + 1], Phi[k] @ P[k]).T.copy()
+        x[k] += C @ (x[k + 1] - x_prior[k + 1])
+        moved = P[k] + C @ (P[k + 1] - P_prior[k + 1]) @ C.T
+        for i in range(n):
+            for j in range(n):
+                P[k, i, j] = 0.5 * (moved[i, j] + moved[j, i])
