@@ -14,8 +14,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from nav_core.errors import RangeError, ShapeError
-from nav_core.typing import Floats
+from nav_core.errors import RangeError
+from nav_core.typing import Floats, trailing
 
 SEMI_MAJOR = 6_378_137.0
 """Equatorial radius a, m (WGS84)."""
@@ -114,7 +114,7 @@ def transport_rate(lat: Floats | float, height: Floats | float, velocity: Floats
     -----
     000 eq. 2.5.23 with the two radii of curvature in place of its sphere.
     """
-    v = _triads("velocity", velocity)
+    v = trailing("velocity", velocity, 3)
     meridian, normal = radii(np.asarray(lat, dtype=np.float64))
     east = v[..., 1] / (normal + height)
     north = v[..., 0] / (meridian + height)
@@ -196,7 +196,7 @@ def ecef_to_geodetic(r_e: Floats) -> tuple[Floats, Floats, Floats]:
     lat, lon, height : ndarray, shape (...)
         rad in [-pi/2, pi/2], rad in [-pi, pi], m.  On the axis the longitude is 0.
     """
-    r = _triads("r_e", r_e)
+    r = trailing("r_e", r_e, 3)
     depth = np.sqrt(np.min(np.sum(r**2, axis=-1), initial=np.inf))
     if not depth >= DEEPEST:
         raise RangeError("distance from the Earth's centre", float(depth), f">= {DEEPEST:g} m")
@@ -227,7 +227,7 @@ def geodetic_to_tangent(
 
 def tangent_to_geodetic(r_t: Floats, origin: tuple[float, float, float]) -> tuple[Floats, Floats, Floats]:
     """Inverse of `geodetic_to_tangent`: latitude, longitude (rad) and height (m), each of shape (...)."""
-    r_e = _triads("r_t", r_t) @ tangent_axes(origin[0], origin[1]).T + geodetic_to_ecef(*origin)
+    r_e = trailing("r_t", r_t, 3) @ tangent_axes(origin[0], origin[1]).T + geodetic_to_ecef(*origin)
     return ecef_to_geodetic(r_e)
 
 
@@ -308,9 +308,9 @@ def magnetic_field(lat: float, lon: float, height: float, year: float) -> Magnet
 def magnetic_field_near(lat: float, lon: float, height: float, year: float) -> MagneticField:
     """World Magnetic Model at the middle of the cell that holds a place, remembered per cell and day.
 
-    Parameters and errors as `magnetic_field`.  Cells are 10 km north and about as much east, and 1 km high.  Below 60° of
-    latitude the field at their middle differs by less than 0.08 µT and 0.2° of declination; towards the poles the
-    axes themselves turn within a cell.
+    Parameters and errors as `magnetic_field`.  Cells are 10 km north and about as much east, and 1 km high.  Below 60°
+    of latitude the field at their middle differs by less than 0.08 µT, which is 0.3° of declination where 15 µT
+    are horizontal; towards the poles the axes themselves turn within a cell.
     """
     row = round(lat / FIELD_CELL)
     # Columns narrow towards the poles as the parallels do; the pole itself is one cell.
@@ -331,10 +331,3 @@ def _coefficients(year: int) -> tuple[object, object]:
 
     models = (wmm_2010.WMM_2010, wmm_2015v2.WMM_2015v2, wmm_2020.WMM_2020, wmm_2025.WMM_2025)
     return models[(year - int(FIRST_YEAR)) // 5]
-
-
-def _triads(name: str, values: Floats) -> Floats:
-    array = np.asarray(values, dtype=np.float64)
-    if array.shape[-1:] != (3,):
-        raise ShapeError(name, array.shape, "(..., 3)")
-    return array

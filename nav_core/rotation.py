@@ -15,7 +15,7 @@ from __future__ import annotations
 import numpy as np
 
 from nav_core.errors import RangeError, ShapeError
-from nav_core.typing import Floats
+from nav_core.typing import Floats, trailing
 
 GIMBAL_LOCK = 1e-9
 """Cosine of the middle angle below which the outer two are no longer told apart."""
@@ -120,7 +120,7 @@ def matrix_to_euler(R_nb: Floats) -> Floats:
     -----
     000 eq. 2.6.70 with the arc sine of its second line, written as arc tangents that keep their precision near ±pi/2.
     """
-    R = _matrices("R_nb", R_nb)
+    R = trailing("R_nb", R_nb, 3, 3)
     level = np.hypot(R[..., 0, 0], R[..., 1, 0])
     locked = level < GIMBAL_LOCK
     pitch = np.arctan2(-R[..., 2, 0], level)
@@ -192,7 +192,7 @@ def matrix_to_quaternion(R: Floats) -> Floats:
     component (Shepperd 1978): of the matrix ``4 q q'``, written with elements of `R`, the row with the
     largest diagonal.
     """
-    given = _matrices("R", R)
+    given = trailing("R", R, 3, 3)
     m00, m01, m02, m10, m11, m12, m20, m21, m22 = np.moveaxis(given.reshape((*given.shape[:-2], 9)), -1, 0)
     products = np.stack(
         (
@@ -210,7 +210,7 @@ def matrix_to_quaternion(R: Floats) -> Floats:
 
 def rotvec_to_quaternion(v: Floats) -> Floats:
     """Quaternion, shape (..., 4) with ``w >= 0``, of the rotation by ``|v|`` rad about `v` (000 eq. 2.6.38)."""
-    v = _vectors("v", v)
+    v = trailing("v", v, 3)
     half = 0.5 * np.linalg.norm(v, axis=-1, keepdims=True)
     return _positive(np.concatenate((0.5 * np.sinc(half / np.pi) * v, np.cos(half)), axis=-1))
 
@@ -251,8 +251,8 @@ def product(q: Floats, p: Floats) -> Floats:
 
     ``quaternion_to_matrix(product(q, p)) = quaternion_to_matrix(q) @ quaternion_to_matrix(p)``.
     """
-    x, y, z, w = np.moveaxis(_quaternions("q", q), -1, 0)
-    X, Y, Z, W = np.moveaxis(_quaternions("p", p), -1, 0)
+    x, y, z, w = np.moveaxis(trailing("q", q, 4), -1, 0)
+    X, Y, Z, W = np.moveaxis(trailing("p", p, 4), -1, 0)
     return np.stack(
         (
             w * X + x * W + y * Z - z * Y,
@@ -266,12 +266,12 @@ def product(q: Floats, p: Floats) -> Floats:
 
 def conjugate(q: Floats) -> Floats:
     """The inverse of a unit quaternion, shape (..., 4) (000 eqs. 2.6.31, 2.6.32)."""
-    return _quaternions("q", q) * np.array([-1.0, -1.0, -1.0, 1.0])
+    return trailing("q", q, 4) * np.array([-1.0, -1.0, -1.0, 1.0])
 
 
 def normalised(q: Floats) -> Floats:
     """Quaternion of unit length, shape (..., 4); raises `RangeError` for a zero quaternion."""
-    q = _quaternions("q", q)
+    q = trailing("q", q, 4)
     # Divided by the largest component first: squares of the smallest floats vanish.
     scale = np.max(np.abs(q), axis=-1, keepdims=True, initial=0.0)
     if np.any(scale == 0.0):
@@ -305,7 +305,7 @@ def angle_between(a: Floats, b: Floats) -> float:
 
 def skew(v: Floats) -> Floats:
     """Cross-product matrix ``[v]x`` with ``[v]x @ u = v x u``, shape (..., 3) to (..., 3, 3)."""
-    v = _vectors("v", v)
+    v = trailing("v", v, 3)
     S = np.zeros((*v.shape, 3))
     S[..., 2, 1], S[..., 0, 2], S[..., 1, 0] = v[..., 0], v[..., 1], v[..., 2]
     return S - np.swapaxes(S, -1, -2)
@@ -323,22 +323,3 @@ def xyzw_to_wxyz(quaternion: Floats) -> Floats:
 
 def _positive(q: Floats) -> Floats:
     return np.where(q[..., 3:] < 0.0, -q, q)
-
-
-def _quaternions(name: str, q: Floats) -> Floats:
-    return _trailing(name, q, (4,))
-
-
-def _vectors(name: str, v: Floats) -> Floats:
-    return _trailing(name, v, (3,))
-
-
-def _matrices(name: str, R: Floats) -> Floats:
-    return _trailing(name, R, (3, 3))
-
-
-def _trailing(name: str, values: Floats, shape: tuple[int, ...]) -> Floats:
-    array = np.asarray(values, dtype=np.float64)
-    if array.shape[-len(shape) :] != shape:
-        raise ShapeError(name, array.shape, f"(..., {', '.join(map(str, shape))})")
-    return array

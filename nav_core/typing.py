@@ -8,6 +8,8 @@ from typing import ParamSpec, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from nav_core.errors import ShapeError
+
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 Flags = NDArray[np.bool_]
@@ -25,3 +27,11 @@ def kernel(function: Callable[P, R]) -> Callable[P, R]:
     from numba import njit
 
     return njit(cache=True, error_model="numpy")(function)  # pyright: ignore[reportReturnType]  keeps the signature
+
+
+def trailing(name: str, values: Floats, *axes: int) -> Floats:
+    """`values` as floats whose last axes are `axes`, with any leading ones; else `ShapeError` under this name."""
+    array = np.asarray(values, dtype=np.float64)
+    if array.shape[array.ndim - len(axes) :] != axes or array.ndim < len(axes):
+        raise ShapeError(name, array.shape, f"(..., {', '.join(map(str, axes))})")
+    return array

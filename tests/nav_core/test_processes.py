@@ -50,16 +50,16 @@ def test_pv_and_pva_in_closed_form_are_van_loan(dt, density):
     ):
         exact = process.discrete(dt)
         assert closed.Phi == pytest.approx(exact.Phi, abs=1e-12)
-        assert closed.Q == pytest.approx(exact.Q, rel=1e-9, abs=1e-12)
+        assert pytest.approx(exact.Q, rel=1e-9, abs=1e-12) == closed.Q
 
 
 def test_filterpy_has_the_same_noise():
     pva = processes.position_velocity_acceleration_discrete(0.3, 0.5)
-    assert pva.Q == pytest.approx(Q_continuous_white_noise(3, 0.5, spectral_density=0.3), rel=1e-12)
+    assert pytest.approx(Q_continuous_white_noise(3, 0.5, spectral_density=0.3), rel=1e-12) == pva.Q
     Phi, Q = filterpy_van_loan(SPRING.F, SPRING.G * np.sqrt(SPRING.Q[0, 0]), 0.2)
     ours = SPRING.discrete(0.2)
     assert ours.Phi == pytest.approx(Phi, rel=1e-12)
-    assert ours.Q == pytest.approx(Q, rel=1e-12)
+    assert pytest.approx(Q, rel=1e-12) == ours.Q
 
 
 def test_the_printed_pva_matrix_lacks_the_half():
@@ -79,7 +79,7 @@ def test_the_pv_noise_has_two_components():
 def test_gauss_markov_in_closed_form_is_van_loan_and_keeps_its_variance(dt, sigma, tau):
     closed, exact = processes.gauss_markov_discrete(sigma, tau, dt), processes.gauss_markov(sigma, tau).discrete(dt)
     assert closed.Phi == pytest.approx(exact.Phi, rel=1e-9)
-    assert closed.Q == pytest.approx(exact.Q, rel=1e-6)
+    assert pytest.approx(exact.Q, rel=1e-6) == closed.Q
     assert closed.Phi * sigma**2 * closed.Phi + closed.Q == pytest.approx(sigma**2)
 
 
@@ -247,7 +247,7 @@ def test_van_loan_noise_is_the_integral():
     for node, weight in zip(nodes, weights, strict=True):
         Phi = expm(SPRING.F * (0.5 * dt * (node + 1.0)))
         total += 0.5 * dt * weight * Phi @ SPRING.diffusion @ Phi.T
-    assert SPRING.discrete(dt).Q == pytest.approx(total, rel=1e-10)
+    assert pytest.approx(total, rel=1e-10) == SPRING.discrete(dt).Q
 
 
 # Augmentation -------------------------------------------------------------------------------------------------
@@ -260,7 +260,7 @@ def test_correlated_noise_becomes_a_state():
     whole = processes.augment(pv, np.array([[1.0, 0.0]]), driving=wind, sensor=bias)
     assert whole.H.tolist() == [[1.0, 0.0, 0.0, 1.0]]
     expected = np.array([[0, 1, 0, 0], [0, 0, 1, 0], [0, 0, -1 / 20.0, 0], [0, 0, 0, -1 / 60.0]])
-    assert whole.process.F == pytest.approx(expected)
+    assert pytest.approx(expected) == whole.process.F
     assert whole.process.diffusion == pytest.approx(np.diag([0.0, 0.1, 2 * 0.25 / 20.0, 2 * 9.0 / 60.0]))
 
 
@@ -297,7 +297,7 @@ def test_the_augmented_system_is_the_system_with_its_noise_simulated_apart():
 
 def test_stacked_axes_stay_independent():
     three = processes.stack(*[processes.gauss_markov(s, 5.0) for s in (1.0, 2.0, 3.0)])
-    assert three.F == pytest.approx(-np.eye(3) / 5.0)
+    assert pytest.approx(-np.eye(3) / 5.0) == three.F
     assert np.diag(three.diffusion) == pytest.approx(2.0 / 5.0 * np.array([1.0, 4.0, 9.0]))
 
 

@@ -74,10 +74,10 @@ def test_mount_in_words(capsys, urban):
 
 
 def test_parquet_and_csv_give_the_same_answer(capsys, tmp_path, urban):
-    from server.formats.drive import from_drive, read_drive_file, write_drive_file
+    from server.formats.drive import read_drive_columns, write_drive_file
 
     parquet = tmp_path / "urban.parquet"
-    write_drive_file(parquet, from_drive(read_drive_file(urban)))
+    write_drive_file(parquet, read_drive_columns(urban))
     assert run(capsys, "mount", parquet, "--json")[1].out == run(capsys, "mount", urban, "--json")[1].out
 
 
