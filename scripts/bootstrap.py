@@ -5,6 +5,7 @@ The installer itself (uv) comes from the same lock file, hash included, so that 
 
 from __future__ import annotations
 
+import compileall
 import re
 import subprocess
 import sys
@@ -28,8 +29,12 @@ def main() -> None:
         pip = [sys.executable, "-m", "pip", "install", "-q", "--disable-pip-version-check"]
         subprocess.run([*pip, "--require-hashes", "--no-deps", "-r", uv_only.name], check=True)  # noqa: S603  fixed
     uv = [str(Path(sys.executable).with_name("uv")), "pip", "install", "-q", "--python", sys.executable]
-    subprocess.run([*uv, "--require-hashes", "-r", str(lock_path)], check=True)  # noqa: S603  fixed arguments
+    # Compiled now and not at the first start, which a new user is waiting for.
+    locked = ["--require-hashes", "--compile-bytecode", "-r", str(lock_path)]
+    subprocess.run([*uv, *locked], check=True)  # noqa: S603  fixed arguments
     subprocess.run([*uv, "--no-deps", "--no-build-isolation", "-e", "."], check=True)  # noqa: S603  fixed arguments
+    compileall.compile_dir("nav_core", quiet=1)
+    compileall.compile_dir("server", quiet=1)
 
 
 if __name__ == "__main__":
