@@ -19,7 +19,10 @@ def _default_data_dir() -> Path:
 class Settings(BaseSettings):
     """Everything an operator can choose; each is an environment variable with the prefix SCATOLA_."""
 
-    model_config = SettingsConfigDict(env_prefix="SCATOLA_", extra="ignore", frozen=True)
+    # A folder of secrets as containers mount them: a file for each variable, in lower case.
+    model_config = SettingsConfigDict(
+        env_prefix="SCATOLA_", extra="ignore", frozen=True, secrets_dir=os.environ.get("SCATOLA_SECRETS_DIR")
+    )
 
     data_dir: Path = Field(default_factory=_default_data_dir)
     host: str = "127.0.0.1"

@@ -14,7 +14,7 @@ import numpy as np
 
 from nav_core.errors import ShapeError
 from nav_core.kalman.linear import Filtered, State, predict, update
-from nav_core.processes import van_loan
+from nav_core.processes import transition_series
 from nav_core.typing import Floats
 
 
@@ -88,15 +88,20 @@ class ContinuousModel:
     observation: Callable[[Floats, int], Observation]
 
     def step(self, x: Floats, k: int) -> Step:
-        """State by Runge-Kutta of order 4; matrices by Van Loan with the derivative in the middle of the step."""
+        """State by Runge-Kutta of order 4; matrices with the derivative in the middle of the step.
+
+        The series of `Phi` and Simpson's rule on the noise (000 eq. 3.6.28) are of the same order as the state.
+        """
         t, dt = float(self.t[k]), float(self.t[k + 1] - self.t[k])
         a = self.f(x, t)
         b = self.f(x + 0.5 * dt * a, t + 0.5 * dt)
         c = self.f(x + 0.5 * dt * b, t + 0.5 * dt)
         d = self.f(x + dt * c, t + dt)
         after = x + dt / 6.0 * (a + 2.0 * b + 2.0 * c + d)
-        discrete = van_loan(self.F(0.5 * (x + after), t + 0.5 * dt), self.diffusion, dt)
-        return Step(after, discrete.Phi, discrete.Q)
+        half = transition_series(self.F(0.5 * (x + after), t + 0.5 * dt), 0.5 * dt, 4)
+        Phi = half @ half
+        noise = self.diffusion + 4.0 * half @ self.diffusion @ half.T + Phi @ self.diffusion @ Phi.T
+        return Step(after, Phi, dt / 6.0 * noise)
 
     def observe(self, x: Floats, k: int) -> Observation:
         """`observation`."""

@@ -124,8 +124,6 @@ class Frame(NamedTuple):
     """V axes of the present estimate, m/s², shape (m, 3)."""
     w: Floats
     """Turn rate, rad/s, shape (m,)."""
-    felt_turn: Floats
-    """Lateral force over speed, bank and bias included, rad/s, shape (m,): what a lag shifts."""
     lateral: Floats
     """Speed times turn rate, m/s², shape (m,)."""
     inverse_speed: Floats
@@ -150,7 +148,7 @@ def turned(record: Record, R_va: Floats, lag: float) -> Frame:
     felt = np.where(rolling, f[:, 1] * inverse, 0.0)
     seen = np.where(rolling, np.interp(record.t + lag, fixes.t, gps_rate(fixes.t, unrolled(fixes.course))), 0.0)
     w = felt + smoothed(record, seen - felt, TURN_SPAN)
-    return Frame(f, w, felt, w * speed, inverse)
+    return Frame(f, w, w * speed, inverse)
 
 
 # States of the pitch plane.
@@ -342,7 +340,7 @@ def yaw_plane(record: Record, R_va: Floats, lags: tuple[float, float], noise: No
     Y = np.zeros((steps.when.size, 1, c))
     # Ahead of the point that does not slip, the track points into the turn.
     Y[:, 0, 0] = np.nan_to_num(record.fixes.course) - noise.lever[0] * w * inverse_now
-    Y[:, 0, 1 + COURSE_LAG] = at(record, steps.when, frame.felt_turn)
+    Y[:, 0, 1 + COURSE_LAG] = w
     Y[:, 0, 1 + LEVER_X] = Y[:, 0, 1 + ANTENNA_X] = -w * inverse_now
     columns = np.concatenate([[0], 1 + YAW_UNKNOWNS])
     return Channel(

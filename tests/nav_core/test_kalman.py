@@ -15,6 +15,8 @@ from nav_core.kalman import ContinuousModel, CovarianceError, Observation, Step,
 PV = processes.position_velocity_discrete(0.2, 0.5)
 SEEN = np.array([[1.0, 0.0]])
 SEEDS = st.integers(0, 2**32 - 1)
+# The first example waits for the compiler.
+examples = settings(deadline=None, max_examples=50)
 
 
 def problem(seed: int, n: int = 5, m: int = 3):
@@ -38,6 +40,7 @@ def record(seed: int, steps: int = 60):
 # One step -----------------------------------------------------------------------------------------------------
 
 
+@examples
 @given(seed=SEEDS)
 def test_one_by_one_is_the_joint_update(seed):
     x, P, e, H, r = problem(seed)
@@ -49,6 +52,7 @@ def test_one_by_one_is_the_joint_update(seed):
     assert chi2.sum() == pytest.approx(joint.nis, rel=1e-7)
 
 
+@examples
 @given(seed=SEEDS)
 def test_correlated_measurements_are_folded_in_once_decorrelated(seed):
     x, P, e, H, _ = problem(seed)
@@ -63,6 +67,7 @@ def test_correlated_measurements_are_folded_in_once_decorrelated(seed):
     assert chi2.sum() == pytest.approx(joint.nis, rel=1e-6)
 
 
+@examples
 @given(seed=SEEDS)
 def test_an_update_is_the_information_of_both(seed):
     """000 eq. 3.3.15: P^-1 after = P^-1 before + H' R^-1 H."""
@@ -73,6 +78,7 @@ def test_an_update_is_the_information_of_both(seed):
     assert after.x - x == pytest.approx(after.P @ H.T @ (e / r), rel=1e-6, abs=1e-8)
 
 
+@examples
 @given(seed=SEEDS)
 def test_josephs_form_holds_for_any_gain(seed):
     """With a gain that is not the optimal one P - K H P is no covariance of anything; the kernel agrees."""
@@ -99,6 +105,7 @@ def test_the_stated_covariance_of_any_gain_is_the_one_of_many_runs():
     assert np.cov(after.T) / scale == pytest.approx(expected / scale, abs=0.02)
 
 
+@examples
 @given(seed=SEEDS)
 def test_the_compiled_prediction_is_the_one_in_matrices(seed):
     x, P, _, _, _ = problem(seed)
@@ -205,7 +212,7 @@ def test_the_smoother_is_the_least_squares_solution_of_the_whole_record():
 def test_the_compiled_record_is_the_steps_in_matrices():
     """Also with gaps, a gate, and matrices that change."""
     truth, z, x, P = record(3)
-    z = np.column_stack([z, truth[:, 1:] + 0.3])
+    z = np.column_stack([z, truth[:, 1:] + 0.7 * np.random.default_rng(4).standard_normal((60, 1))])
     z[10:15, 0] = np.nan
     z[20, 1] += 50.0
     steps = z.shape[0]
@@ -282,11 +289,8 @@ def test_the_steady_state_of_farrenkopf():
     )
     S_u, S_v = sigma_u * dt**1.5 / sigma_n, sigma_v * dt**0.5 / sigma_n
     gamma = np.sqrt(4.0 + S_v**2 + S_u**2 / 12.0)
-    zeta = S_u / 2.0 + gamma + 0.5 * np.sqrt((2.0 * gamma + S_u) ** 2 - 16.0) - gamma / 2.0
-    # Of the characteristic quartic's two real factors the one outside the unit circle; here only the angle's variance.
-    shape = 0.25 * (2.0 * gamma + S_u + np.sqrt((2.0 * gamma + S_u) ** 2 - 16.0))
-    assert zeta > 0.0
-    assert ran.P[-1][0, 0] == pytest.approx(sigma_n**2 * (1.0 - 1.0 / shape**2), rel=1e-6)
+    zeta = 0.25 * (2.0 * gamma + S_u + np.sqrt((2.0 * gamma + S_u) ** 2 - 16.0))
+    assert ran.P[-1][0, 0] == pytest.approx(sigma_n**2 * (1.0 - 1.0 / zeta**2), rel=1e-6)
 
 
 # Nonlinear ----------------------------------------------------------------------------------------------------
@@ -345,7 +349,7 @@ def swing(model, start, rng):
 def test_the_extended_filter_tells_its_error():
     model, P = pendulum(80), np.diag([0.05**2, 0.1**2])
     squares, nis = [], []
-    for seed in range(40):
+    for seed in range(30):
         rng = np.random.default_rng(seed)
         start = np.array([0.6, 0.0])
         truth, z = swing(model, rng.multivariate_normal(start, P), rng)
@@ -413,7 +417,7 @@ def test_bands_of_chi_square():
     assert (lower * 50, upper * 50) == pytest.approx((32.357, 71.420), abs=1e-3)
 
 
-@settings(max_examples=20)
+@examples
 @given(freedom=st.integers(1, 15), runs=st.integers(1, 500))
 def test_bands_hold_the_mean(freedom, runs):
     lower, upper = kalman.mean_band(freedom, runs)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from filterpy.common import Q_continuous_white_noise
 from filterpy.common import van_loan_discretization as filterpy_van_loan
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.integrate import solve_ivp
@@ -16,6 +16,7 @@ from nav_core import processes
 from nav_core.errors import RangeError, ShapeError
 from nav_core.processes import Process, ShapingFilter
 
+examples = settings(deadline=None, max_examples=50)
 STEPS = st.floats(0.01, 2.0)
 DENSITIES = st.floats(1e-3, 10.0)
 SPRING = processes.spring(2.0, 0.6, 8.0, density=3.0)
@@ -39,6 +40,7 @@ def test_the_transition_matrix_solves_the_equation():
     assert processes.transition(SPRING.F, 0.7) == pytest.approx(integrated(SPRING.F, 0.7, np.eye(2)), abs=1e-9)
 
 
+@examples
 @given(dt=STEPS, density=DENSITIES)
 def test_pv_and_pva_in_closed_form_are_van_loan(dt, density):
     for closed, process in (
@@ -75,6 +77,7 @@ def test_the_pv_noise_has_two_components():
     assert processes.position_velocity(1.0).G.shape == (2, 1)
 
 
+@examples
 @given(dt=STEPS, sigma=st.floats(0.1, 5.0), tau=st.floats(0.2, 100.0))
 def test_gauss_markov_in_closed_form_is_van_loan_and_keeps_its_variance(dt, sigma, tau):
     closed, exact = processes.gauss_markov_discrete(sigma, tau, dt), processes.gauss_markov(sigma, tau).discrete(dt)
@@ -107,6 +110,7 @@ def test_simulated_singular_noise_has_the_stated_covariance():
     assert np.cov(ends.T) / np.outer(spread, spread) == pytest.approx(discrete.Q / np.outer(spread, spread), abs=0.03)
 
 
+@examples
 @given(matrix=matrices(3), dt=STEPS)
 def test_the_series_converges_to_the_exponential(matrix, dt):
     assert processes.transition_series(matrix, dt, 60) == pytest.approx(
@@ -166,6 +170,7 @@ def test_force_pushes_the_way_it_points():
     assert (printed[1] < 0.0).all()
 
 
+@examples
 @given(a=STEPS, b=STEPS)
 def test_transitions_compose_and_invert(a, b):
     """000 section 3.6.3, properties 1-3."""
