@@ -7,7 +7,11 @@
     ├── NotFiniteError      a value is NaN or infinite where a number is needed
     ├── OrderError          times do not increase
     ├── RangeError          a value lies outside what has a meaning
-    └── TooLittleDataError  fewer samples than the method needs
+    ├── TooLittleDataError  fewer samples than the method needs
+    ├── PosesError          the poses of a calibration do not determine its parameters
+    ├── CovarianceError     a covariance is not positive definite
+    ├── GeometryError       the satellites do not span the unknowns
+    └── ConvergenceError    an iteration does not settle
 """
 
 from __future__ import annotations
@@ -55,3 +59,35 @@ class TooLittleDataError(NavigationError):
     def __init__(self, name: str, count: int, needed: int) -> None:
         self.name, self.count, self.needed = name, count, needed
         super().__init__(f"{name}: {count} samples, at least {needed} needed")
+
+
+class PosesError(NavigationError):
+    """The poses of a calibration do not determine its parameters."""
+
+    def __init__(self, reason: str, count: int, condition: float) -> None:
+        self.reason, self.count, self.condition = reason, count, condition
+        super().__init__(f"{count} poses do not suffice: {reason}")
+
+
+class CovarianceError(NavigationError):
+    """A covariance that must be positive definite is not."""
+
+    def __init__(self, name: str, smallest: float) -> None:
+        self.name, self.smallest = name, smallest
+        super().__init__(f"{name} is not positive definite: its smallest eigenvalue is {smallest:g}")
+
+
+class GeometryError(NavigationError):
+    """The satellites do not span the unknowns."""
+
+    def __init__(self, condition: float) -> None:
+        self.condition = condition
+        super().__init__(f"the satellites' geometry leaves a direction open (condition number {condition:.3g})")
+
+
+class ConvergenceError(NavigationError):
+    """An iteration does not settle."""
+
+    def __init__(self, rounds: int, step: float) -> None:
+        self.rounds, self.step = rounds, step
+        super().__init__(f"no solution after {rounds} rounds: the last step is {step:.3g} m")

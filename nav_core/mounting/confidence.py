@@ -27,6 +27,10 @@ STRETCHES = 8
 _TRUST = 6.0
 """Degrees of freedom with which the model's own scatter is believed before the drive's."""
 
+SHORT = 20.0
+"""A road of this many seconds is one sample of what roads are like: sigma of a drive of duration T is
+widened by ``sqrt(1 + SHORT / T)``."""
+
 STEADY_SPAN = 60.0
 STEADY = np.radians(0.7)
 """Stable: the estimate of `STEADY_SPAN` seconds ago lies within this (or within its own sigma)."""
@@ -114,7 +118,9 @@ def assess(fit: Fit) -> Confidence:
     widening = np.sqrt(np.maximum(shrunk, 1.0) * _innovation_ratio(fit))
     cumulative = np.cumsum(fit.gram, axis=0)
     p, covariances = fit.solve(cumulative)
-    history = covariances[:, TURN, TURN] * np.outer(widening, widening)
+    elapsed = BLOCK * np.arange(1, covariances.shape[0] + 1)
+    short = 1.0 + SHORT / elapsed
+    history = covariances[:, TURN, TURN] * np.outer(widening, widening) * short[:, None, None]
     history[:, [0, 1, 2], [0, 1, 2]] += FLOOR**2
     history[:, 0, 0] += fit.noise.crown**2
     sigma = np.sqrt(np.einsum("kii->ki", history))

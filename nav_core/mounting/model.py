@@ -90,7 +90,7 @@ class Noise:
     pitch_gain: tuple[float, float] = (0.04, 0.02)
     roll_gain: tuple[float, float] = (0.07, 0.03)
     """Body pitch and roll per g, as a share of specific force: mean and deviation."""
-    lever: tuple[float, float] = (0.5, 1.0)
+    lever: tuple[float, float] = (1.0, 0.8)
     """How far the box sits ahead of the point that does not slip: mean and deviation, m."""
     antenna: float = 0.3
     """Deviation of the antenna from the box, ahead and to the right, m."""
@@ -170,14 +170,19 @@ def pitch_system(record: Record, steps: Steps, noise: Noise, change: Floats, swi
     Phi[:, steady, steady] = 1.0
     Phi[:, V, DRIFT_X] = Phi[:, CLIMB, DRIFT_Z] = -steps.dt
     Q[:, DRIFT_X, DRIFT_X] = Q[:, DRIFT_Z, DRIFT_Z] = noise.drift**2 * elapsed
-    Phi[:, V, SLOPE] = -GRAVITY * steps.dt
-    Phi[:, HEIGHT, SLOPE] = steps.distance
     Phi[1:, CLIMB, SLOPE] = -np.diff(fixes.speed)
     Phi[:, CLIMB, TILT] = -swing
     # Critically damped second-order Gauss-Markov process along the distance.
     beta = 1.0 / noise.slope_length
     d = steps.distance
     decay = np.exp(-beta * d)
+    # Means of the slope over the step, per slope and per curvature at its begin: at 30 m/s and one
+    # fix a second the slope at either end would lead or lag by half a step.
+    z = np.maximum(beta * d, 1e-3)
+    of_slope = (2.0 - (2.0 + z) * np.exp(-z)) / z
+    of_curve = d * (1.0 - (1.0 + z) * np.exp(-z)) / z**2
+    Phi[:, V, SLOPE], Phi[:, V, CURVE] = -GRAVITY * steps.dt * of_slope, -GRAVITY * steps.dt * of_curve
+    Phi[:, HEIGHT, SLOPE], Phi[:, HEIGHT, CURVE] = d * of_slope, d * of_curve
     Phi[:, SLOPE, SLOPE], Phi[:, SLOPE, CURVE] = decay * (1.0 + beta * d), decay * d
     Phi[:, CURVE, SLOPE], Phi[:, CURVE, CURVE] = -(beta**2) * d * decay, decay * (1.0 - beta * d)
     rest = np.diag([noise.slope**2, (beta * noise.slope) ** 2])
@@ -370,8 +375,9 @@ def yaw_system(
     Phi, Q = np.zeros((count, 4, 4)), np.zeros((count, 4, 4))
     Phi[:, 0, 0] = Phi[:, 3, 3] = 1.0
     Phi[:, 0, 3] = -inverse
-    Phi[:, 0, 1] = -GRAVITY * inverse
-    along = np.exp(-steps.distance / noise.bank_length)
+    z = np.maximum(steps.distance / noise.bank_length, 1e-6)
+    along = np.exp(-z)
+    Phi[:, 0, 1] = -GRAVITY * inverse * (1.0 - along) / z
     Phi[:, 1, 1], Q[:, 1, 1] = along, (1.0 - along**2) * noise.bank**2
     elapsed = np.diff(steps.when, prepend=steps.when[:1])
     Q[:, 3, 3] = noise.drift**2 * elapsed

@@ -41,7 +41,6 @@ REASONS = {
     "rough": "The satellite data are poor or the ride is very rough; this takes longer.",
     "contradiction": "Parts of the drive disagree about how the box sits: check that it is fixed firmly.",
     "loose": "The box moves in its holder: fix it firmly.",
-    "moved": "The box was moved during the drive; the result is its last position.",
 }
 
 

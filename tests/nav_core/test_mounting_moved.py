@@ -1,0 +1,87 @@
+"""A box that is turned during the drive, and boxes that only seem to be."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from nav_core.mounting import estimate_mounting
+from nav_core.rotation import angle_between
+from nav_core.simulate import Move, Scenario, simulate
+
+MILLI_G = 9.80665e-3
+
+
+def _axis(seed: int) -> np.ndarray:
+    axis = np.random.default_rng(seed).normal(size=3)
+    return axis / np.linalg.norm(axis)
+
+
+@pytest.mark.parametrize(("angle_deg", "seed"), [(15.0, 3), (90.0, 2), (180.0, 4)])
+def test_a_turned_box_is_found_with_its_moment(angle_deg: float, seed: int):
+    when = float(np.random.default_rng(seed).uniform(90.0, 200.0))
+    move = Move(t=when, turn=tuple(np.radians(angle_deg) * _axis(seed)))
+    drive, truth = simulate(Scenario(duration=300.0, moves=(move,)), seed=seed)
+    found = estimate_mounting(drive)
+    (change,) = found.changes
+    assert change.t == pytest.approx(when, abs=15.0)
+    assert np.degrees(change.angle) == pytest.approx(angle_deg, abs=4.0)
+    assert found.R_va is not None
+    assert np.degrees(angle_between(found.R_va, truth.R_va)) < 4.0
+
+
+def test_a_change_of_heading_alone_is_found():
+    base = Scenario(duration=300.0)
+    _, before = simulate(base, seed=5)
+    turn = np.radians(20.0) * before.R_va.T @ np.array([0.0, 0.0, 1.0])
+    drive, truth = simulate(Scenario(duration=300.0, moves=(Move(t=140.0, turn=tuple(turn)),)), seed=5)
+    found = estimate_mounting(drive)
+    (change,) = found.changes
+    assert change.t == pytest.approx(140.0, abs=30.0)
+    assert found.R_va is not None
+    assert np.degrees(angle_between(found.R_va, truth.R_va)) < 4.0
+
+
+def test_two_moves():
+    moves = (Move(t=150.0, turn=(0.7, 0.0, 0.3)), Move(t=330.0, turn=(0.0, -0.9, 0.0)))
+    drive, truth = simulate(Scenario(duration=480.0, moves=moves), seed=7)
+    found = estimate_mounting(drive)
+    assert [change.t for change in found.changes] == pytest.approx([150.0, 330.0], abs=15.0)
+    assert found.R_va is not None
+    assert np.degrees(angle_between(found.R_va, truth.R_va)) < 4.0
+
+
+def test_a_box_that_keeps_turning_is_not_fixed():
+    moves = tuple(Move(t=t, turn=tuple(_axis(int(t)))) for t in (40.0, 90.0, 140.0, 190.0, 240.0))
+    found = estimate_mounting(simulate(Scenario(duration=290.0, moves=moves), seed=3)[0])
+    assert found.status == "not_fixed"
+    assert [reason.code for reason in found.reasons] == ["loose"]
+
+
+@pytest.mark.parametrize(
+    "scenario",
+    [
+        Scenario(duration=300.0, accel_bias_drift=30.0 * MILLI_G),
+        Scenario(duration=300.0, slope=0.08),
+        Scenario(route="highway", duration=300.0, slope=0.05, accel_bias_drift=30.0 * MILLI_G),
+        Scenario(route="gentle", duration=300.0, accel_bias=30.0 * MILLI_G),
+        Scenario(route="roundabout", duration=120.0, gnss_rate=1.0),
+    ],
+    ids=["drift", "hills", "drifting in the hills", "poor accelerometer", "roundabouts"],
+)
+def test_no_false_alarm(scenario: Scenario):
+    for seed in range(2):
+        assert estimate_mounting(simulate(scenario, seed=700 + seed)[0]).changes == ()
+
+
+@pytest.mark.slow
+def test_no_false_alarm_in_a_hundred_drives():
+    for seed in range(100):
+        scenario = Scenario(
+            route=("urban", "gentle", "straight", "highway")[seed % 4],
+            duration=240.0,
+            gnss_rate=(1.0, 4.0, 10.0)[seed % 3],
+            slope=0.06 if seed % 2 else 0.03,
+            accel_bias_drift=30.0 * MILLI_G,
+        )
+        assert estimate_mounting(simulate(scenario, seed=20_000 + seed)[0]).changes == (), seed
