@@ -48,7 +48,7 @@ def make_engine(settings: Settings) -> Engine:
     """Engine for the settings' database, SQLite in the data folder unless told otherwise."""
     dsn = settings.database_dsn
     if dsn.startswith("sqlite"):
-        settings.data_dir.mkdir(parents=True, exist_ok=True)
+        settings.data_dir.mkdir(mode=0o700, parents=True, exist_ok=True)
         engine = create_engine(dsn, connect_args={"timeout": 30.0, "check_same_thread": False})
         event.listen(engine, "connect", _prepare_sqlite)
         event.listen(engine, "begin", _begin_sqlite)

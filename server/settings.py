@@ -33,7 +33,6 @@ class Settings(BaseSettings):
     viewer_url: str | None = None
     trusted_origins: Annotated[tuple[str, ...], NoDecode] = ()
     map_tiles_url: str | None = None
-    map_pmtiles: Path | None = None
     admin_token: SecretStr | None = None
     max_body_bytes: int = Field(default=16 * 1024 * 1024, gt=0)
     max_decoded_bytes: int = Field(default=64 * 1024 * 1024, gt=0)

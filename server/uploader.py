@@ -77,6 +77,7 @@ class Uploader:
         boot: str,
         *,
         wait: Callable[[float], object],
+        say: Callable[[str], object] = lambda line: None,  # noqa: ARG005  silent unless somebody listens
         stream: str = "continuous",
         encoding: Encoding = "parquet",
     ) -> None:
@@ -84,24 +85,29 @@ class Uploader:
         self._headers = {"Authorization": f"Bearer {token}", "Scatola-Stream": stream}
         self._boot = boot
         self._wait = wait
+        self._say = say
         self._encoding: Encoding = encoding
 
     def send(self, sequence: int, columns: Columns) -> Acknowledgement:
         """Send one batch until it is acknowledged; the key makes repeating harmless."""
         body, headers = encode(columns, self._encoding)
         headers |= self._headers | {"Idempotency-Key": f"{self._boot}/{sequence}"}
-        pause = _FIRST_WAIT_S
+        pause, told = _FIRST_WAIT_S, False
         while True:
             try:
                 answer = self._client.post("/api/v1/batches", content=body, headers=headers)
-            except httpx.TransportError:
-                retry_after = 0.0
+            except httpx.TransportError as error:
+                retry_after, trouble = 0.0, f"the service does not answer ({type(error).__name__})"
             else:
                 if answer.status_code == 202:
                     return _acknowledgement(answer.json())
                 if answer.status_code != 429 and answer.status_code < 500:
                     raise UploadRefusedError(answer.status_code, answer.text[:500])
                 retry_after = _seconds(answer.headers.get("Retry-After"))
+                trouble = f"the service answers {answer.status_code}"
+            if not told:
+                self._say(f"{trouble}; trying again until it takes the batch")
+                told = True
             # Full jitter: boxes that lost the same server do not come back at the same moment.
             self._wait(max(retry_after, random.uniform(0.0, pause)))  # noqa: S311  not a secret
             pause = min(2.0 * pause, _LONGEST_WAIT_S)

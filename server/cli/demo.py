@@ -61,17 +61,16 @@ def fleet(args: argparse.Namespace) -> int:
     settings = Settings()
     if settings.admin_token is None:
         raise ValueError("SCATOLA_ADMIN_TOKEN is not set: the fleet registers its boxes with it")
-    history_s = 60.0 * args.history_minutes
     started = time.time()
-    timeline = Timeline(started=started, history_s=history_s, speed=args.speed, now=time.time)
+    replay = Timeline(started=started, history_s=60.0 * args.history_minutes, speed=args.speed, now=time.time)
+    life = Timeline(started=started, history_s=0.0, speed=1.0, now=time.time)
     with httpx.Client(base_url=args.url, timeout=30.0, trust_env=False) as client:
         Fleet(
             client,
             settings.admin_token.get_secret_value(),
             Memory(settings.data_dir / "demo.json"),
-            timeline,
+            lambda box: life if box.begins_now else replay,
             stop,
-            origin_utc=started - history_s,
         ).run()
     # A fleet that came to its end must not be started again at once.
     stop.wait()

@@ -22,7 +22,9 @@ def upload(args: argparse.Namespace) -> int:
     parts = list(batches(columns, args.seconds))
     duplicates = 0
     with httpx.Client(base_url=args.url, timeout=60.0) as client:
-        uploader = Uploader(client, args.token, boot, wait=time.sleep)
+        uploader = Uploader(
+            client, args.token, boot, wait=time.sleep, say=lambda line: print(f"scatola: {line}", file=sys.stderr)
+        )
         for sequence, part in enumerate(parts):
             duplicates += uploader.send(sequence, part).duplicate
             if sys.stderr.isatty():

@@ -15,6 +15,8 @@ from server.uploader import Encoding
 
 _REST_S = 240.0
 """Between two drives of a box: longer than what ends a trip."""
+_INTERRUPTED_S = 5.0
+"""Between an interrupted drive and the next one."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -36,6 +38,8 @@ class Box:
     with_gyro: bool = False
     move: Move | None = None
     impact: Impact | None = None
+    begins_now: bool = False
+    """Whether its first drive is shown as it happens, instead of replayed from the past."""
     happens_in_leg: int = 1
     """The drive in which the move or the impact takes place."""
 
@@ -74,7 +78,8 @@ FLEET: tuple[Box, ...] = (
     ),
     Box(
         name="SC-0003",
-        vehicle="Lancia Ypsilon",
+        vehicle="Lancia Ypsilon (straight road, starts now)",
+        begins_now=True,
         plate="GC 303 ZZ",
         route="straight",
         legs_min=(6.0, 8.0),
@@ -127,7 +132,8 @@ FLEET: tuple[Box, ...] = (
     ),
     Box(
         name="SC-0008",
-        vehicle="Fiat Ducato (gentle driver)",
+        vehicle="Fiat Ducato (gentle driver, starts now)",
+        begins_now=True,
         plate="GH 808 ZZ",
         vehicle_class="van",
         route="gentle",
@@ -207,7 +213,7 @@ def after(leg: Leg, t: float) -> Standpoint:
     R_va = next(R_va for since, R_va in reversed(leg.mountings) if since <= utc)
     return Standpoint(
         leg=leg.number + 1,
-        utc=utc + _REST_S,
+        utc=utc + (_REST_S if t >= leg.drive.inertial.t[-1] else _INTERRUPTED_S),
         R_va=tuple(tuple(row) for row in R_va.tolist()),
         lat=float(gnss.lat[last]),
         lon=float(gnss.lon[last]),

@@ -21,23 +21,28 @@ from server.formats.drive import from_drive
 from server.uploader import Uploader, batches
 
 _PAST_BATCH_S, _LIVE_BATCH_S = 60.0, 10.0
+_SHORT_UNTIL_S = 120.0
+"""The first drive begins with short batches, so that its calibration can be watched."""
 
 
 class Timeline:
-    """The fleet's clock: runs through the past faster than life, then keeps step with it."""
+    """A box's clock: runs through the past faster than life, then keeps step with it."""
 
     def __init__(self, *, started: float, history_s: float, speed: float, now: Callable[[], float]) -> None:
-        self._started, self._origin, self._speed, self._now = started, started - history_s, speed, now
+        self._started, self._speed, self._now = started, speed, now
+        self.origin = started - history_s
+        """Unix time at which it begins."""
 
     def seconds_until(self, utc: float) -> float:
         """Real seconds until the fleet's clock shows `utc`; negative when that is past."""
         # The replay meets the present after history / (speed - 1); a moment behind that is reached by replay.
-        replayed = self._started + (utc - self._origin) / self._speed
+        replayed = self._started + (utc - self.origin) / self._speed
         return max(replayed, utc) - self._now()
 
     def is_live(self, utc: float) -> bool:
         """Whether `utc` is reached at life's own pace."""
-        return utc > self._started + (utc - self._origin) / self._speed
+        # A millisecond of slack: at speed 1 both sides are the same but for rounding.
+        return utc > self._started + (utc - self.origin) / self._speed - 1e-3
 
 
 class Memory:
@@ -74,15 +79,14 @@ class Fleet:
         client: httpx.Client,
         admin_token: str,
         memory: Memory,
-        timeline: Timeline,
+        timeline_of: Callable[[Box], Timeline],
         stop: threading.Event,
         *,
-        origin_utc: float,
         boxes: tuple[Box, ...] = FLEET,
     ) -> None:
-        self._client, self._memory, self._timeline, self._stop = client, memory, timeline, stop
+        self._client, self._memory, self._stop = client, memory, stop
+        self._timeline_of = timeline_of
         self._admin = {"Authorization": f"Bearer {admin_token}"}
-        self._origin_utc = origin_utc
         self._boxes = boxes
 
     def run(self) -> None:
@@ -122,7 +126,7 @@ class Fleet:
         standpoint = self._standpoint(box)
         try:
             while not has_ended(box, standpoint):
-                self._wait(max(self._timeline.seconds_until(standpoint.utc), 0.0))
+                self._wait(max(self._timeline_of(box).seconds_until(standpoint.utc), 0.0))
                 standpoint = self._upload(box, next_leg(box, standpoint, seed=self._seed(box)))
         except StoppedError:
             return
@@ -133,9 +137,9 @@ class Fleet:
     def _standpoint(self, box: Box) -> Standpoint:
         kept = self._memory.of(box).get("standpoint")
         if kept is None:
-            return first_standpoint(box, self._origin_utc)
+            return first_standpoint(box, self._timeline_of(box).origin)
         standpoint = Standpoint(**kept)
-        return dataclasses.replace(standpoint, utc=max(standpoint.utc, self._origin_utc))
+        return dataclasses.replace(standpoint, utc=max(standpoint.utc, self._timeline_of(box).origin))
 
     def _upload(self, box: Box, leg: Leg) -> Standpoint:
         boots = int(self._memory.of(box)["boots"])
@@ -144,22 +148,24 @@ class Fleet:
             self._client, self._memory.of(box)["token"], f"demo-{boots}", wait=self._wait, encoding=box.encoding
         )
         standpoint = after(leg, 0.0)
+        timeline = self._timeline_of(box)
         known_from = 0
-        for sequence, batch in enumerate(self._cut(from_drive(leg.drive), leg.began_utc)):
+        for sequence, batch in enumerate(self._cut(leg, timeline)):
             t_last = float(batch.values["t"][-1])
-            self._wait(max(self._timeline.seconds_until(leg.began_utc + t_last), 0.0))
+            self._wait(max(timeline.seconds_until(leg.began_utc + t_last), 0.0))
             known_from = self._tell_truth(box, leg, leg.began_utc + t_last, known_from)
             uploader.send(sequence, batch)
             standpoint = after(leg, t_last)
             self._memory.keep(box, standpoint=dataclasses.asdict(standpoint))
         return standpoint
 
-    def _cut(self, columns: Columns, began_utc: float) -> list[Columns]:
-        """Long batches for the past, short ones once the page shows the present."""
+    def _cut(self, leg: Leg, timeline: Timeline) -> list[Columns]:
+        """Long batches for the past, short ones where somebody watches."""
         parts: list[Columns] = []
-        for part in batches(columns, _PAST_BATCH_S):
-            live = self._timeline.is_live(began_utc + float(part.values["t"][-1]))
-            parts.extend(batches(part, _LIVE_BATCH_S) if live else [part])
+        for part in batches(from_drive(leg.drive), _PAST_BATCH_S):
+            t_last = float(part.values["t"][-1])
+            watched = timeline.is_live(leg.began_utc + t_last) or (leg.number == 0 and t_last <= _SHORT_UNTIL_S)
+            parts.extend(batches(part, _LIVE_BATCH_S) if watched else [part])
         return parts
 
     def _tell_truth(self, box: Box, leg: Leg, utc: float, known_from: int) -> int:
