@@ -7,7 +7,6 @@
 
 from nav_core.kalman.consistency import Consistency, consistency, gate, mean_band, normalised
 from nav_core.kalman.linear import (
-    CovarianceError,
     Filtered,
     State,
     Update,
@@ -23,7 +22,6 @@ from nav_core.kalman.nonlinear import ContinuousModel, Model, Observation, Step,
 __all__ = [
     "Consistency",
     "ContinuousModel",
-    "CovarianceError",
     "Filtered",
     "Model",
     "Observation",

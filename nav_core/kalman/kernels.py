@@ -12,24 +12,37 @@ from nav_core.typing import Floats, kernel
 
 
 @kernel
+def sparse_product(A: Floats, B: Floats, out: Floats) -> None:
+    """Add ``A B`` to `out`; zeros of `A`, of which a transition matrix mostly consists, cost nothing."""
+    n = A.shape[0]
+    for i in range(n):
+        for k in range(n):
+            factor = A[i, k]
+            if factor != 0.0:
+                for j in range(n):
+                    out[i, j] += factor * B[k, j]
+
+
+@kernel
+def symmetrise(P: Floats) -> None:
+    """Make both halves of `P` equal: rounding differs between them, and over hours would tear them apart."""
+    for i in range(P.shape[0]):
+        for j in range(i):
+            P[i, j] = P[j, i] = 0.5 * (P[i, j] + P[j, i])
+
+
+@kernel
 def propagate_covariance(P: Floats, Phi: Floats, Q: Floats) -> None:
     """Replace `P` by ``Phi P Phi' + Q``, exactly symmetric (000 eq. 3.6.25)."""
     n = P.shape[0]
-    half = np.zeros((n, n))
+    half, turned = np.zeros((n, n)), np.empty((n, n))
+    sparse_product(Phi, P, half)
     for i in range(n):
-        for k in range(n):
-            factor = Phi[i, k]
-            # Transition matrices are mostly zeros.
-            if factor != 0.0:
-                for j in range(n):
-                    half[i, j] += factor * P[k, j]
-    for i in range(n):
-        for j in range(i + 1):
-            total = Q[i, j]
-            for k in range(n):
-                total += half[i, k] * Phi[j, k]
-            P[i, j] = total
-            P[j, i] = total
+        for j in range(n):
+            turned[j, i] = half[i, j]
+            P[i, j] = Q[i, j]
+    sparse_product(Phi, turned, P)
+    symmetrise(P)
 
 
 @kernel
@@ -48,20 +61,19 @@ def propagate_state(x: Floats, Phi: Floats) -> None:
 def joseph_scalar(P: Floats, h: Floats, r: float, gain: Floats) -> None:
     """Replace `P` by ``(I - k h') P (I - k h')' + k r k'``, valid for any gain (000 eq. 3.11.24, one measurement)."""
     n = P.shape[0]
-    row, column = np.zeros(n), np.zeros(n)
+    row = np.zeros(n)
     for i in range(n):
         for j in range(n):
             row[j] += h[i] * P[i, j]
     for i in range(n):
+        column = 0.0
         for j in range(n):
             P[i, j] -= gain[i] * row[j]
-            column[i] += P[i, j] * h[j]
-    for i in range(n):
-        for j in range(i + 1):
-            # Rounding differs on both sides of the diagonal; over hours it would tear the halves apart.
-            here = P[i, j] + (gain[i] * r - column[i]) * gain[j]
-            there = P[j, i] + (gain[j] * r - column[j]) * gain[i]
-            P[i, j] = P[j, i] = 0.5 * (here + there)
+            column += P[i, j] * h[j]
+        rest = gain[i] * r - column
+        for j in range(n):
+            P[i, j] += rest * gain[j]
+    symmetrise(P)
 
 
 @kernel
@@ -190,11 +202,8 @@ def smooth_backwards(x_prior: Floats, P_prior: Floats, x: Floats, P: Floats, Phi
 
     ``C = P Phi' P_prior^-1`` needs invertible predicted covariances.
     """
-    n = x.shape[1]
     for k in range(x.shape[0] - 2, -1, -1):
         C = np.linalg.solve(P_prior[k + 1], Phi[k] @ P[k]).T.copy()
         x[k] += C @ (x[k + 1] - x_prior[k + 1])
-        moved = P[k] + C @ (P[k + 1] - P_prior[k + 1]) @ C.T
-        for i in range(n):
-            for j in range(n):
-                P[k, i, j] = 0.5 * (moved[i, j] + moved[j, i])
+        P[k] += C @ (P[k + 1] - P_prior[k + 1]) @ C.T
+        symmetrise(P[k])

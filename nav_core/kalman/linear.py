@@ -8,17 +8,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
-from nav_core.errors import NavigationError, RangeError, ShapeError
+from nav_core.errors import CovarianceError, RangeError, ShapeError
 from nav_core.kalman import kernels
 from nav_core.typing import Flags, Floats
-
-
-class CovarianceError(NavigationError):
-    """A covariance that must be positive definite is not."""
-
-    def __init__(self, name: str, smallest: float) -> None:
-        self.name, self.smallest = name, smallest
-        super().__init__(f"{name} is not positive definite: its smallest eigenvalue is {smallest:g}")
 
 
 class State(NamedTuple):

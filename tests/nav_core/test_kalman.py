@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nav_core import kalman, processes
-from nav_core.errors import RangeError, ShapeError
-from nav_core.kalman import ContinuousModel, CovarianceError, Observation, Step, kernels
+from nav_core.errors import CovarianceError, RangeError, ShapeError
+from nav_core.kalman import ContinuousModel, Observation, Step, kernels
 
 PV = processes.position_velocity_discrete(0.2, 0.5)
 SEEN = np.array([[1.0, 0.0]])
@@ -136,16 +136,20 @@ def test_the_gate_keeps_a_blunder_out():
     assert covariance == pytest.approx(kept.P)
 
 
-def test_a_million_exact_measurements_leave_a_covariance():
-    """P - K H P loses its sign to rounding where Joseph's form does not."""
-    P, plain, dx = np.diag([1e8, 1.0, 1e-2]), np.diag([1e8, 1.0, 1e-2]), np.zeros(3)
-    rng = np.random.default_rng(0)
-    for _ in range(3000):
+def test_josephs_form_keeps_the_digits_that_the_short_form_loses():
+    """Measurements to 1e-6 from a start known to 1e6: P - K H P (000 eq. 3.3.23) against the sum of information."""
+    r, rng = 1e-12, np.random.default_rng(0)
+    P = np.diag([1e12, 1.0, 1e-4])
+    short, information, dx = P.copy(), np.diag(1.0 / np.diag(P)), np.zeros(3)
+    for _ in range(300):
         h = rng.standard_normal(3)
-        kernels.update_scalar(dx, P, 0.0, h, 1e-9, np.inf)
-        spread = plain @ h
-        plain = plain - np.outer(spread, spread) / (h @ spread + 1e-9)
-    assert np.linalg.eigvalsh(P)[0] > 0.0
+        kernels.update_scalar(dx, P, 0.0, h, r, np.inf)
+        spread = short @ h
+        short = short - np.outer(spread, spread) / (h @ spread + r)
+        information = information + np.outer(h, h) / r
+    exact = np.linalg.inv(information)
+    assert abs(P / exact - 1.0).max() < 1e-6
+    assert abs(short / exact - 1.0).max() > 1e-4
 
 
 # Over a record ------------------------------------------------------------------------------------------------

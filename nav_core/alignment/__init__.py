@@ -1,0 +1,33 @@
+"""Attitude of a box before any filter runs: levelling, gyrocompassing, and gravity with the magnetic field.
+
+`level` needs rest and an accelerometer and knows no heading.  `gyrocompass` adds the heading where the gyros know the
+Earth's turning, and says so where they do not.  With a magnetometer, `master_slave` needs no start and no strength of
+the field and lets gravity rule: for alignment and after a reset (000 section 7.6.3).  `gauss_newton` weights both and
+takes either's error: for use in motion, where gravity is disturbed.  `wahba` is the same for any set of directions;
+`triad` is the master-slave idea for any two.  `align` looks for rest in a recording and does what its sensors allow.
+"""
+
+from nav_core.alignment.directions import Attitude, WahbaFit, triad, wahba
+from nav_core.alignment.levelling import Gyrocompass, Levelling, gyrocompass, level, mean_sigma, tilt
+from nav_core.alignment.magnetic import GaussNewtonFit, gauss_newton, master_slave
+from nav_core.alignment.recording import Alignment, Place, Trust, align
+
+__all__ = [
+    "Alignment",
+    "Attitude",
+    "GaussNewtonFit",
+    "Gyrocompass",
+    "Levelling",
+    "Place",
+    "Trust",
+    "WahbaFit",
+    "align",
+    "gauss_newton",
+    "gyrocompass",
+    "level",
+    "master_slave",
+    "mean_sigma",
+    "tilt",
+    "triad",
+    "wahba",
+]
