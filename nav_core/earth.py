@@ -32,6 +32,8 @@ GRAVITATION = 3.986_004_418e14
 GRAVITY_EQUATOR = 9.780_325_335_9
 GRAVITY_POLE = 9.832_184_937_8
 """Normal gravity on the ellipsoid, m/s² (WGS84)."""
+STANDARD_GRAVITY = 9.806_65
+"""The conventional g, m/s²."""
 SOMIGLIANA = SEMI_MINOR * GRAVITY_POLE / (SEMI_MAJOR * GRAVITY_EQUATOR) - 1.0
 """k of Somigliana's formula."""
 CENTRIFUGAL_RATIO = RATE**2 * SEMI_MAJOR**2 * SEMI_MINOR / GRAVITATION
@@ -83,9 +85,13 @@ def gravity(lat: Floats | float, height: Floats | float) -> Floats:
     Somigliana's formula, and the height to second order (Groves 2013 eqs. 2.134, 2.139).  Gravity is taken to point
     along the ellipsoid's normal also above it; the north component left out is 8e-9 /s² times height times sin(2 lat).
     """
-    sin2 = np.sin(lat) ** 2
-    surface = GRAVITY_EQUATOR * (1.0 + SOMIGLIANA * sin2) / np.sqrt(1.0 - ECCENTRICITY2 * sin2)
-    linear = 2.0 * (1.0 + FLATTENING + CENTRIFUGAL_RATIO - 2.0 * FLATTENING * sin2) / SEMI_MAJOR
+    return gravity_at(np.sin(lat) ** 2, height)
+
+
+def gravity_at(sin2_lat: Floats | float, height: Floats | float) -> Floats:
+    """`gravity`, m/s², where the square of the sine of the latitude is at hand."""
+    surface = GRAVITY_EQUATOR * (1.0 + SOMIGLIANA * sin2_lat) / np.sqrt(1.0 - ECCENTRICITY2 * sin2_lat)
+    linear = 2.0 * (1.0 + FLATTENING + CENTRIFUGAL_RATIO - 2.0 * FLATTENING * sin2_lat) / SEMI_MAJOR
     return surface * (1.0 - linear * height + 3.0 / SEMI_MAJOR**2 * height**2)
 
 

@@ -61,17 +61,18 @@ def matrix_to_thesis(R_va: Floats) -> Floats:
 
     Notes
     -----
-    001 C.10-C.13 with theta and phi exchanged back: ``phi = asin R21``,
-    ``theta = atan2(-R31, R11)``, ``psi = atan2(-R23, R22)`` (indices from 1).
+    001 C.10-C.13 with theta and phi exchanged back: ``phi = asin R21``, ``theta = atan2(-R31, R11)``,
+    ``psi = atan2(-R23, R22)`` (indices from 1); theta is taken from ``R Rx(psi)'``, where it is the same angle.
     """
     R = np.asarray(R_va, dtype=np.float64)
     if R.shape != (3, 3):
         raise ShapeError("R_va", R.shape, "(3, 3)")
-    phi = np.arctan2(R[1, 0], np.hypot(R[0, 0], R[2, 0]))
-    if np.hypot(R[0, 0], R[2, 0]) < GIMBAL_LOCK:
-        theta, psi = np.arctan2(R[0, 2], R[2, 2]), 0.0
-    else:
-        theta, psi = np.arctan2(-R[2, 0], R[0, 0]), np.arctan2(-R[1, 2], R[1, 1])
+    level = np.hypot(R[0, 0], R[2, 0])
+    phi = np.arctan2(R[1, 0], level)
+    psi = 0.0 if level < GIMBAL_LOCK else np.arctan2(-R[1, 2], R[1, 1])
+    # Theta of what is left without psi: near the singularity both are noise, and yet fit together.
+    cp, sp = np.cos(psi), np.sin(psi)
+    theta = np.arctan2(sp * R[0, 1] + cp * R[0, 2], sp * R[2, 1] + cp * R[2, 2])
     return np.array([theta, phi, psi])
 
 
@@ -118,14 +119,16 @@ def matrix_to_euler(R_nb: Floats) -> Floats:
 
     Notes
     -----
-    000 eq. 2.6.70 with the arc sine of its second line, written as arc tangents that keep their precision near ±pi/2.
+    000 eq. 2.6.70 with the arc sine of its second line, written as an arc tangent that keeps its precision near ±pi/2,
+    and yaw from ``R Rx(roll)'``, where it is the same angle.
     """
     R = trailing("R_nb", R_nb, 3, 3)
     level = np.hypot(R[..., 0, 0], R[..., 1, 0])
-    locked = level < GIMBAL_LOCK
     pitch = np.arctan2(-R[..., 2, 0], level)
-    roll = np.where(locked, 0.0, np.arctan2(R[..., 2, 1], R[..., 2, 2]))
-    yaw = np.where(locked, np.arctan2(-R[..., 0, 1], R[..., 1, 1]), np.arctan2(R[..., 1, 0], R[..., 0, 0]))
+    roll = np.where(level < GIMBAL_LOCK, 0.0, np.arctan2(R[..., 2, 1], R[..., 2, 2]))
+    # Yaw of what is left without roll: near gimbal lock both are noise, and yet fit together.
+    cr, sr = np.cos(roll), np.sin(roll)
+    yaw = np.arctan2(sr * R[..., 0, 2] - cr * R[..., 0, 1], cr * R[..., 1, 1] - sr * R[..., 1, 2])
     return np.stack((roll, pitch, yaw), axis=-1)
 
 

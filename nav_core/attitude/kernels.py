@@ -1,7 +1,7 @@
-"""Rotations inside compiled loops: single quaternions and matrices, written into arrays of the caller.
+"""Rotations inside compiled loops: single vectors, quaternions and matrices, without allocation.
 
-What `nav_core.rotation` says of arrays, one at a time and without allocation.  Quaternions are Hamilton's in the
-order (x, y, z, w).
+What `nav_core.rotation` says of arrays, one at a time: vectors are tuples, quaternions (Hamilton's, x, y, z, w) and
+matrices are written into arrays of the caller.
 """
 
 from __future__ import annotations
@@ -9,6 +9,9 @@ from __future__ import annotations
 import numpy as np
 
 from nav_core.typing import Floats, kernel
+
+Vector = tuple[float, float, float]
+"""Three components in registers: in a loop an array of its own costs more than the arithmetic done with it."""
 
 SMALL_ANGLE2 = 1e-4
 """Squared angle, rad², below which sine and cosine are summed as series; what they omit is below rounding."""
@@ -47,32 +50,43 @@ def quaternion_of(v: Floats, q: Floats) -> None:
 
 
 @kernel
-def matrix_of(v: Floats, R: Floats) -> None:
-    """Write ``exp([v]x)`` of the rotation vector `v`, rad, into `R` (Rodrigues; Groves 2013 eq. 5.73)."""
-    x, y, z = v[0], v[1], v[2]
-    square = x * x + y * y + z * z
-    if square < SMALL_ANGLE2:
-        s = 1.0 - square / 6.0 * (1.0 - square / 20.0)
-        c = 0.5 - square / 24.0 * (1.0 - square / 30.0)
-    else:
-        angle = np.sqrt(square)
-        s = np.sin(angle) / angle
-        half = np.sin(0.5 * angle)
-        c = 2.0 * half * half / square
-    R[0, 0] = 1.0 - c * (y * y + z * z)
-    R[0, 1] = c * x * y - s * z
-    R[0, 2] = c * x * z + s * y
-    R[1, 0] = c * x * y + s * z
-    R[1, 1] = 1.0 - c * (x * x + z * z)
-    R[1, 2] = c * y * z - s * x
-    R[2, 0] = c * x * z - s * y
-    R[2, 1] = c * y * z + s * x
-    R[2, 2] = 1.0 - c * (x * x + y * y)
+def cross(a: Vector, b: Vector) -> Vector:
+    """``a x b``."""
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
 @kernel
-def chain(A: Floats, B: Floats, out: Floats) -> None:
-    """Write ``A @ B`` of 3 x 3 matrices into `out`, which is neither of them."""
+def total(a: Vector, scale: float, b: Vector) -> Vector:
+    """``a + scale b``."""
+    return a[0] + scale * b[0], a[1] + scale * b[1], a[2] + scale * b[2]
+
+
+@kernel
+def rodrigues(v: Vector) -> tuple[float, float]:
+    """Factors s and c of ``exp([v]x) = I + s [v]x + c [v]x [v]x``, `v` in rad (Groves 2013 eq. 5.73)."""
+    square = v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
+    if square < SMALL_ANGLE2:
+        return 1.0 - square / 6.0 * (1.0 - square / 20.0), 0.5 - square / 24.0 * (1.0 - square / 30.0)
+    angle = np.sqrt(square)
+    half = np.sin(0.5 * angle)
+    return np.sin(angle) / angle, 2.0 * half * half / square
+
+
+@kernel
+def turn(C: Floats, frame: Vector, body: Vector) -> None:
+    """Replace the attitude `C` by ``exp(-[frame]x) C exp([body]x)``; both are rotation vectors, rad.
+
+    Row by row and column by column, so that no matrix is made.
+    """
+    s, c = rodrigues(body)
     for i in range(3):
-        for j in range(3):
-            out[i, j] = A[i, 0] * B[0, j] + A[i, 1] * B[1, j] + A[i, 2] * B[2, j]
+        row = (C[i, 0], C[i, 1], C[i, 2])
+        once = cross(row, body)
+        row = total(total(row, s, once), c, cross(once, body))
+        C[i, 0], C[i, 1], C[i, 2] = row[0], row[1], row[2]
+    s, c = rodrigues(frame)
+    for j in range(3):
+        column = (C[0, j], C[1, j], C[2, j])
+        once = cross(column, frame)
+        column = total(total(column, s, once), c, cross(once, frame))
+        C[0, j], C[1, j], C[2, j] = column[0], column[1], column[2]

@@ -104,8 +104,8 @@ def propagate_two_speed(q_nb: Floats, turns: Floats, w_in: Floats, period: float
 
     Notes
     -----
-    004's ``(p', q', r') = (p, q, r) - C_n^b w_in`` split in two.  Both rotations are exact for constant `w_in`, whatever
-    b does; `body_rate_against` is the unsplit form.
+    004's ``(p', q', r') = (p, q, r) - C_n^b w_in`` split in two.  Both rotations are exact for constant `w_in`,
+    whatever b does; `body_rate_against` is the unsplit form.
     """
     slow, fast = _rows("w_in", w_in), _rows("turns", turns)
     if slow.shape[0] == 0 or fast.shape[0] % slow.shape[0] != 0:
