@@ -109,7 +109,7 @@ def create_app(settings: Settings, *, clock: Clock = utc_now) -> FastAPI:
         proxy,
         pages,
     ):
-        app.include_router(part.router)
+        app.include_router(part.router, responses=problems.described(401, 403, 404, 422))
     app.mount("/static/vendor", StaticFiles(directory=folder("web") / "vendor", check_dir=False))
     app.mount("/static", StaticFiles(directory=folder("web") / "static", check_dir=False))
 

@@ -22,6 +22,8 @@ from server.telemetry import Telemetry
 
 router = APIRouter(include_in_schema=False)
 
+_LOOKS = ["GET", "HEAD"]
+
 # Anybody may ask, and each look writes to the store: one look serves all who ask within this time.
 _READINESS_LIFE = dt.timedelta(seconds=5)
 
@@ -58,13 +60,13 @@ def _look(database: Database, store: BlobStore) -> dict[str, str]:
     return failures
 
 
-@router.get("/healthz")
+@router.api_route("/healthz", methods=_LOOKS)
 async def healthz() -> dict[str, str]:
     """The process is alive."""
     return {"status": "ok"}
 
 
-@router.get("/readyz")
+@router.api_route("/readyz", methods=_LOOKS)
 def readyz(request: Request, database: DatabaseOf, store: StoreOf, now: Now) -> JSONResponse:
     """Database, schema and store can serve; names what cannot."""
     readiness = cast("Readiness", request.app.state.readiness)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import cast
+from typing import Any, cast
 
 import orjson
 from fastapi import FastAPI, Request
@@ -12,7 +12,17 @@ from starlette.exceptions import HTTPException
 from starlette.requests import HTTPConnection
 from starlette.responses import Response
 
-from server.errors import InvalidError, ProblemError
+from server.errors import (
+    ConflictError,
+    ForbiddenError,
+    InvalidError,
+    NotFoundError,
+    ProblemError,
+    TooLargeError,
+    TooManyRequestsError,
+    UnauthenticatedError,
+    UnsupportedMediaError,
+)
 
 MEDIA_TYPE = "application/problem+json"
 
@@ -36,6 +46,32 @@ class HttpProblemError(ProblemError):
 
 class InternalProblemError(ProblemError):
     status, code, title = 500, "internal", "Internal error"
+
+
+_SCHEMA: dict[str, object] = {
+    "type": "object",
+    "required": ["type", "title", "status", "detail", "code"],
+    "properties": {name: {"type": "string"} for name in ("type", "title", "detail", "code")}
+    | {"status": {"type": "integer"}},
+}
+_DESCRIBED: tuple[type[ProblemError], ...] = (
+    UnauthenticatedError,
+    ForbiddenError,
+    NotFoundError,
+    ConflictError,
+    TooLargeError,
+    UnsupportedMediaError,
+    InvalidError,
+    TooManyRequestsError,
+)
+
+
+def described(*statuses: int) -> dict[int | str, dict[str, Any]]:
+    """Problems for a route's description in the list of the API."""
+    titles = {error.status: error.title for error in _DESCRIBED}
+    return {
+        status: {"description": titles[status], "content": {MEDIA_TYPE: {"schema": _SCHEMA}}} for status in statuses
+    }
 
 
 def is_api(path: str) -> bool:

@@ -177,6 +177,18 @@ def upgrade() -> None:
         )
 
     op.create_table(
+        "sequence_run",
+        sa.Column("device_id", sa.String(length=32), nullable=False),
+        sa.Column("stream", sa.String(length=10), nullable=False),
+        sa.Column("boot", sa.String(length=64), nullable=False),
+        sa.Column("first", sa.BigInteger(), autoincrement=False, nullable=False),
+        sa.Column("last", sa.BigInteger(), nullable=False),
+        sa.ForeignKeyConstraint(
+            ["device_id"], ["device.id"], name=op.f("fk_sequence_run_device_id_device"), ondelete="CASCADE"
+        ),
+        sa.PrimaryKeyConstraint("device_id", "stream", "boot", "first", name=op.f("pk_sequence_run")),
+    )
+    op.create_table(
         "boot",
         sa.Column("device_id", sa.String(length=32), nullable=False),
         sa.Column("boot", sa.String(length=64), nullable=False),
@@ -355,6 +367,7 @@ def downgrade() -> None:
 
     op.drop_table("device_state")
     op.drop_table("boot")
+    op.drop_table("sequence_run")
     with op.batch_alter_table("batch", schema=None) as batch_op:
         batch_op.drop_index(
             "ix_batch_due",

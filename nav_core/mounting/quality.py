@@ -12,6 +12,9 @@ from nav_core.mounting.stretch import FOLLOW_SPEED, Record, gps_rate, unrolled
 from nav_core.records import MountingStatus, Reason
 from nav_core.typing import Floats
 
+LEAST_FIXES = 3
+"""Fewer satellite fixes hold no acceleration."""
+
 MIN_MOVING = 15.0
 """Least time of driving before anything is said, s."""
 
@@ -32,6 +35,7 @@ WANDER = np.radians(15.0)
 
 REASONS = {
     "no_fix": "No satellite fix yet: give the antenna a view of the sky.",
+    "few_fixes": "Only just begun: drive a few minutes.",
     "no_accelerometer": "No accelerometer data for the time of the satellite fixes.",
     "not_driven": "The vehicle has not been driven yet: drive a few minutes.",
     "few_events": "Drive a few minutes with some accelerating and braking.",
@@ -128,8 +132,9 @@ class Verdict:
 
 def before_fit(record: Record, offered: Excitation) -> Verdict | None:
     """A verdict where there is nothing to fit; None to go on."""
-    if record.fixes.t.size < 3:
-        return Verdict("insufficient", 0.0, False, (reason("no_fix"),))
+    fixes = record.fixes.t.size
+    if fixes < LEAST_FIXES:
+        return Verdict("insufficient", 0.0, False, (reason("few_fixes" if fixes else "no_fix"),))
     if record.t.size < 20:
         return Verdict("insufficient", 0.0, False, (reason("no_accelerometer"),))
     share = min(offered.moving / MIN_MOVING, 1.0)

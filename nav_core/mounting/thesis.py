@@ -34,6 +34,9 @@ LEVELLING = 5.0
 CONVERGED = np.radians(2.0)
 """rad; the sigma of `converged_after`."""
 
+SURE = np.radians(5.0)
+"""rad; a mounting with a larger sigma about any axis is not ready, whatever the program's flags say."""
+
 REASONS = {
     "no_fix": "No usable satellite fixes with accelerometer data yet.",
     "not_moving": "The vehicle has not moved yet: drive off.",
@@ -42,6 +45,7 @@ REASONS = {
     "not_stable": "The estimate still moves: drive on with some turns and braking.",
     "self_test_running": "Checking the estimate against GPS speed: drive on for {0:.0f} s.",
     "self_test_failed": "The estimate failed its check against GPS speed by {0:.1f} m/s: drive on.",
+    "unsure": "The check is passed, but the filter itself still doubts by {0:.0f}°: drive on with turns and braking.",
     "filter_lost": "The filter's covariance has become meaningless, and its estimate with it.",
 }
 """What each status means to a driver; a number fills the braces."""
@@ -203,36 +207,38 @@ def estimate_thesis(drive: Drive, *, errata: ErrataName | Errata = "corrected") 
     Returns
     -------
     MountingEstimate
-        `ready`: a mounting saved when STABLE and RELIABLE met has passed the test routine, and the program ended
-        there.  `settling`: the latest moving average, after a curve.  `insufficient`: before that; on a straight
-        road this filter cannot tell the box's yaw from the vehicle's.  The covariance is the filter's own, which
-        knows nothing of accelerometer bias and of the road's persistent bank.
+        The latest moving average.  `ready`: a mounting saved when STABLE and RELIABLE met has passed the test
+        routine, where the thesis' program ends, and every sigma is under `SURE` by now: the routine is nearly
+        blind to yaw, so that its pass alone says little, and the filter goes on after it.  `settling`: not so
+        far, but after a curve.  `insufficient`: before that; on a straight road this filter cannot tell the
+        box's yaw from the vehicle's.  The covariance is the filter's own, which knows nothing of accelerometer
+        bias and of the road's persistent bank.
     """
     try:
         run = run_thesis(drive, errata=errata)
     except TooLittleDataError:
         return MountingEstimate("insufficient", "mekf", reasons=(_reason("no_fix"),))
     flow, last = run.flow, run.done - 1
-    seen = flow.trials[-1].saved if flow.finished is not None else last
     trial = flow.trials[-1] if flow.trials else None
     reliable = bool(trial) or bool(last >= 0 and flow.reliable[last])
     stable = bool(last >= 0 and flow.stable[last]) or flow.finished is not None
     sound = _is_sound(run)
-    known = sound and reliable and bool(np.isfinite(flow.mean[seen, 0]))
+    known = sound and reliable and bool(np.isfinite(flow.mean[last, 0]))
     test = None
     if trial is not None and trial.complete:
         test = SelfTest(trial.passed, trial.drift, trial.duration)
     progress = 0.3 * min(1.0, run.done / WINDOW) + 0.2 * stable + 0.2 * reliable
     if trial is not None and not trial.complete:
         progress += 0.3 * min(1.0, trial.duration / TEST_DURATION)
-    status = "insufficient" if not known else "settling" if flow.finished is None else "ready"
+    ready = flow.finished is not None and _sigma(run).max() < SURE
+    status = "insufficient" if not known else "ready" if ready else "settling"
     return MountingEstimate(
         status,
         "mekf",
-        R_va=Rotation.from_quat(flow.mean[seen]).as_matrix() if known else None,
-        covariance=run.history.mounting_covariance[seen] if known else None,
+        R_va=Rotation.from_quat(flow.mean[last]).as_matrix() if known else None,
+        covariance=run.history.mounting_covariance[last] if known else None,
         progress=1.0 if status == "ready" else min(progress, 0.95),
-        observability=float(run.history.observability[seen]) if sound else None,
+        observability=float(run.history.observability[last]) if sound else None,
         stable=stable,
         reliable=reliable,
         self_test=test,
@@ -246,6 +252,11 @@ def _is_sound(run: ThesisRun) -> bool:
     if run.done < run.steps.t.size:
         return False
     return bool(np.linalg.eigvalsh(run.history.mounting_covariance)[:, 0].min() > 0.0)
+
+
+def _sigma(run: ThesisRun) -> Floats:
+    """The filter's own sigma about the V axes by now, rad, shape (3,)."""
+    return np.sqrt(np.diag(run.history.mounting_covariance[run.done - 1]))
 
 
 def _converged_after(run: ThesisRun) -> float | None:
@@ -262,7 +273,8 @@ def _reasons(run: ThesisRun) -> tuple[Reason, ...]:
     if not _is_sound(run):
         return (_reason("filter_lost"),)
     if flow.finished is not None:
-        return ()
+        doubt = float(_sigma(run).max())
+        return () if doubt < SURE else (_reason("unsure", np.degrees(doubt)),)
     if run.steps.speed.max() < MOVING:
         return (_reason("not_moving"),)
     reasons: list[Reason] = []

@@ -6,6 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from nav_core.mounting.blows import Blow, blows, cut_out
 from nav_core.mounting.confidence import assess
 from nav_core.mounting.model import COURSE_LAG, SPEED_LAG, Noise
 from nav_core.mounting.moved import Piece, pieces_of
@@ -21,7 +22,7 @@ from nav_core.mounting.quality import (
 )
 from nav_core.mounting.refine import Fit
 from nav_core.mounting.self_test import self_test
-from nav_core.mounting.stretch import prepare, usable_fixes
+from nav_core.mounting.stretch import Record, prepare, usable_fixes
 from nav_core.records import Gnss, MountingChange, MountingEstimate
 from nav_core.rotation import angle_between
 from nav_core.signal import Ticks
@@ -47,10 +48,13 @@ def estimate(ticks: Ticks, gnss: Gnss, *, noise: Noise | None = None) -> Mountin
     -------
     MountingEstimate
         Sigmas include what the drive cannot tell (accelerometer bias, mean bank of the roads).
-        Where the box was moved, the last mounting with the earlier changes.
+        Where the box was moved, the last mounting with the earlier changes.  Crashes, and standing
+        after them, are left out.
     """
     noise = noise or Noise()
-    record = prepare(ticks, usable_fixes(gnss))
+    fixes = usable_fixes(gnss)
+    found_blows = blows(ticks, fixes)
+    record = cut_out(prepare(ticks, fixes), found_blows)
     verdict = before_fit(record, excitation(record))
     if verdict is not None:
         return _without(verdict)
@@ -58,7 +62,7 @@ def estimate(ticks: Ticks, gnss: Gnss, *, noise: Noise | None = None) -> Mountin
     last = pieces[-1]
     if loosely_held(len(pieces) - 1, record) or gravity_wander(last.record) > WANDER:
         return _without(LOOSE)
-    changes = _changes(pieces)
+    changes = _changes(pieces, found_blows)
     offered = excitation(last.record)
     found = assess(last.solution.fit)
     verdict = before_fit(last.record, offered) or after_fit(last.solution.start, found, offered)
@@ -86,11 +90,20 @@ def estimate(ticks: Ticks, gnss: Gnss, *, noise: Noise | None = None) -> Mountin
     )
 
 
-def _changes(pieces: list[Piece]) -> tuple[MountingChange, ...]:
+def _changes(pieces: list[Piece], spoiled: tuple[Blow, ...]) -> tuple[MountingChange, ...]:
     return tuple(
-        MountingChange(float(after.record.fixes.t[0]), angle_between(after.solution.fit.R_va, before.solution.fit.R_va))
+        MountingChange(
+            _turned_at(before.record, after.record, spoiled),
+            angle_between(after.solution.fit.R_va, before.solution.fit.R_va),
+        )
         for before, after in pairwise(pieces)
     )
+
+
+def _turned_at(before: Record, after: Record, spoiled: tuple[Blow, ...]) -> float:
+    """When the box was turned between two pieces, s: by a blow where there was one, else as driving resumes."""
+    begin, end = float(before.fixes.t[-1]), float(after.fixes.t[0])
+    return next((blow.t for blow in spoiled if begin <= blow.t <= end), end)
 
 
 def _known_lags(fit: Fit) -> tuple[float | None, float | None]:

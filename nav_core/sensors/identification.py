@@ -1,8 +1,8 @@
 """Noise coefficients from an Allan deviation, each with an interval, and the confidence of the curve itself.
 
-The overlapping Allan variance is a quadratic form of the samples.  For Gaussian noise of known composition the covariance
-of its values at two cluster times follows from the covariance function of the second differences, so nothing has to be
-assumed about independence: the clusters overlap, and the values at neighbouring cluster times share their data.
+The overlapping Allan variance is a quadratic form of the samples.  For Gaussian noise of known composition the
+covariance of its values at two cluster times follows from the covariance function of the second differences, so nothing
+has to be assumed about independence: the clusters overlap, and the values at neighbouring times share their data.
 The coefficients are the weighted least squares solution with that covariance, taken at the solution itself.
 """
 
@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from scipy.linalg import cho_factor, solve_triangular
 from scipy.optimize import nnls
 from scipy.stats import chi2, norm
 
@@ -37,7 +36,7 @@ class NoiseFit:
     Attributes
     ----------
     coefficients, low, high : NoiseCoefficients
-        Estimate and ends of each coefficient's own interval; a term that was not fitted is zero, its upper end infinite.
+        Estimate and ends of each coefficient's own interval; of a term that was not fitted zero and infinity.
         A lower end of zero: the recording does not show that there is any of it.
     level : float
         Confidence of the intervals.
@@ -181,9 +180,9 @@ def _least_squares(factor: Integers, samples: int, variance: Floats, terms: str)
     for step in range(50):
         C = np.einsum("a,b,abij->ij", squares, squares, table)
         C[np.diag_indices_from(C)] *= 1.0 + 1e-9
-        L = cho_factor(C, lower=True)[0]
-        weighted = solve_triangular(L, A, lower=True)
-        found = _nonnegative(weighted, solve_triangular(L, variance, lower=True))
+        whitened = np.linalg.solve(np.linalg.cholesky(C), np.column_stack((A, variance)))
+        weighted = whitened[:, :-1]
+        found = _nonnegative(weighted, whitened[:, -1])
         size = np.linalg.norm(weighted, axis=0)
         settled = bool(np.all(np.abs(found - squares) * size < 1e-3))
         # A term at the edge of zero can come and go for ever; halved steps settle it.
@@ -216,7 +215,6 @@ def _design(factor: Integers, terms: str) -> Floats:
     return np.stack([columns[name] for name in terms], axis=1)
 
 
-@lru_cache(maxsize=4)
 def _covariances(factor: tuple[int, ...], samples: int, terms: str) -> Floats:
     """Bilinear tables of the covariance of Allan variances, shape (terms, terms, k, k)."""
     table = np.zeros((len(terms), len(terms), len(factor), len(factor)))
@@ -224,15 +222,15 @@ def _covariances(factor: tuple[int, ...], samples: int, terms: str) -> Floats:
         for j in range(i, len(factor)):
             if factor[j] <= _RATIO * short:
                 table[:, :, i, j] = table[:, :, j, i] = _pair(short, factor[j], samples, terms)
-    table.flags.writeable = False
     return table
 
 
+@lru_cache(maxsize=4096)
 def _pair(short: int, long: int, samples: int, terms: str) -> Floats:
     """Covariance of the Allan variances at two cluster lengths as a form in the squares, shape (terms, terms).
 
     Of Gaussian second differences `u`, `v`: ``cov(mean u², mean v²) = 2 sum_kl cov(u_k, v_l)² / (M_u M_v)``, and the
-    covariance of a mixture is the sum of its terms'.
+    covariance of a mixture is the sum of its terms'.  Remembered: the axes of one recording ask for the same.
     """
     stride = max(1, short // _GRAIN)
     first = -((2 * short + 4 * long) // stride) * stride
@@ -243,7 +241,9 @@ def _pair(short: int, long: int, samples: int, terms: str) -> Floats:
     form = 2.0 * stride * (functions * overlap) @ functions.T / (float(many) * few * 4.0 * short**2 * float(long) ** 2)
     # Quantisation correlates at single lags, which stand for themselves and not for a stride.
     spiky = np.array([name == "Q" for name in terms])
-    return np.where(spiky[:, None] | spiky, form / stride, form)
+    form = np.where(spiky[:, None] | spiky, form / stride, form)
+    form.flags.writeable = False
+    return form
 
 
 def _second_difference_covariance(name: str, lag: Integers, short: int, long: int) -> Floats:

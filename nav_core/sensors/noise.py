@@ -50,7 +50,9 @@ class NoiseCoefficients(NamedTuple):
         return NoiseCoefficients(*(factor * value for value in self))
 
 
-def _axes(unit: float, N: tuple[float, ...], B: tuple[float, ...], K: tuple[float, ...]) -> tuple[NoiseCoefficients, ...]:
+def _axes(
+    unit: float, N: tuple[float, ...], B: tuple[float, ...], K: tuple[float, ...]
+) -> tuple[NoiseCoefficients, ...]:
     return tuple(NoiseCoefficients(n, b, k).scaled(unit) for n, b, k in zip(N, B, K, strict=True))
 
 
@@ -138,10 +140,12 @@ def flicker(count: int, rng: np.random.Generator) -> Floats:
     Synthesised line by line from the density ``1 / (2 pi f)``, weighted with the transfer of the mean over a period
     and folded at the sampling rate, over at least twice the length: lower frequencies shift all samples alike.
     """
-    length = next_fast_len(2 * max(count, 8), real=True)
+    length: int = next_fast_len(2 * max(count, 8), real=True)  # pyright: ignore[reportAssignmentType]  untyped in scipy
     x = np.arange(1, length // 2 + 1) / length
     # Sum over all images of 1 / |x + k|³; beyond the second it is replaced by its integral.
-    images = x**-3 + (1.0 - x) ** -3 + (1.0 + x) ** -3 + (2.0 - x) ** -3 + (2.0 + x) ** -3 + 1.0 / 2.5**2
+    images = sum(
+        (1.0 / (shifted * shifted * shifted) for shifted in (x, 1.0 - x, 1.0 + x, 2.0 - x, 2.0 + x)), 1.0 / 2.5**2
+    )
     density = np.sin(np.pi * x) ** 2 / (2.0 * np.pi**3) * images
     lines = np.zeros(length // 2 + 1, dtype=np.complex128)
     real, imaginary = rng.standard_normal((2, x.size))

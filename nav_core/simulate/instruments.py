@@ -8,6 +8,7 @@ import numpy as np
 from scipy.fft import irfft, next_fast_len, rfftfreq
 from scipy.signal import lfilter
 
+from nav_core.earth import radii
 from nav_core.records import Gnss
 from nav_core.simulate.scenario import Scenario
 from nav_core.simulate.spline import Spline
@@ -15,8 +16,6 @@ from nav_core.simulate.vehicle import Vehicle
 from nav_core.typing import Flags, Floats, Integers
 
 _VIBRATION_STEP = 0.005
-_WGS84_A = 6_378_137.0
-_WGS84_E2 = 6.694_379_990_14e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,10 +170,8 @@ def _last_before(t: Floats, spans: tuple[tuple[float, float], ...]) -> Integers:
 
 def _geodetic(position: Floats, scenario: Scenario) -> tuple[Floats, Floats]:
     """Latitude and longitude, rad, of positions north and east of the start, m, along the ellipsoid."""
-    bulge = 1.0 - _WGS84_E2 * np.sin(scenario.start_lat) ** 2
-    meridian = _WGS84_A * (1.0 - _WGS84_E2) / bulge**1.5 + scenario.start_alt
-    normal = _WGS84_A / np.sqrt(bulge) + scenario.start_alt
-    lat = scenario.start_lat + position[:, 0] / meridian
+    meridian, normal = radii(scenario.start_lat)
+    lat = scenario.start_lat + position[:, 0] / (meridian + scenario.start_alt)
     # Eastward metres are summed on the parallel on which they are driven.
     east, middle = np.diff(position[:, 1], prepend=0.0), np.concatenate((lat[:1], 0.5 * (lat[1:] + lat[:-1])))
-    return lat, scenario.start_lon + np.cumsum(east / (normal * np.cos(middle)))
+    return lat, scenario.start_lon + np.cumsum(east / ((normal + scenario.start_alt) * np.cos(middle)))

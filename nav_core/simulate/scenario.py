@@ -7,13 +7,14 @@ from typing import Literal
 
 import numpy as np
 
+from nav_core.earth import STANDARD_GRAVITY
 from nav_core.errors import OrderError, RangeError, ShapeError
+from nav_core.rotation import euler_to_matrix
 from nav_core.typing import Floats
 
 RouteName = Literal["static", "straight", "urban", "gentle", "highway", "roundabout"]
 PulseShape = Literal["haversine", "half_sine", "triangle"]
 
-STANDARD_GRAVITY = 9.80665
 MAX_LAG = 5.0
 """Longest receiver lag that can be simulated, s: the trajectory begins that long before the recording."""
 
@@ -373,26 +374,4 @@ class Truth:
     @property
     def R_tv(self) -> Floats:
         """Attitude of the body, shape (n, 3, 3)."""
-        return attitude(self.yaw, self.pitch, self.roll)
-
-
-def attitude(yaw: Floats, pitch: Floats, roll: Floats) -> Floats:
-    """Attitude matrices ``R_tv = Rz(yaw) @ Ry(pitch) @ Rx(roll)``.
-
-    Parameters
-    ----------
-    yaw, pitch, roll : ndarray, shape (n,)
-        rad.
-
-    Returns
-    -------
-    ndarray, shape (n, 3, 3)
-    """
-    cy, sy = np.cos(yaw), np.sin(yaw)
-    cp, sp = np.cos(pitch), np.sin(pitch)
-    cr, sr = np.cos(roll), np.sin(roll)
-    R = np.empty((np.size(yaw), 3, 3))
-    R[:, 0, 0], R[:, 0, 1], R[:, 0, 2] = cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr
-    R[:, 1, 0], R[:, 1, 1], R[:, 1, 2] = sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr
-    R[:, 2, 0], R[:, 2, 1], R[:, 2, 2] = -sp, cp * sr, cp * cr
-    return R
+        return euler_to_matrix(self.roll, self.pitch, self.yaw)

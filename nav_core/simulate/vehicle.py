@@ -8,10 +8,11 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 from scipy.signal import bilinear, lfilter
 
+from nav_core.rotation import euler_to_matrix
 from nav_core.simulate.driver import drive_along
 from nav_core.simulate.impact import Shock, slide_time
 from nav_core.simulate.route import CELL, draw_bank, draw_slope, lay_out, over_distance
-from nav_core.simulate.scenario import MAX_LAG, Impact, Scenario, attitude
+from nav_core.simulate.scenario import MAX_LAG, Impact, Scenario
 from nav_core.simulate.spline import Spline
 from nav_core.typing import Floats
 
@@ -143,7 +144,7 @@ class Vehicle:
         course = self.course + self.curvature.integral(s)
         pitch = self.slope.value(s) + self.pitch.value(t)
         roll = self.bank.value(s) + self.roll.value(t)
-        position += attitude(course, pitch, roll) @ np.array(self.arm)
+        position += euler_to_matrix(roll, pitch, course) @ np.array(self.arm)
         for shock in self.shocks:
             position += np.outer(shock.sideways * shock.jet(t)[0], shock.across)
         return position
@@ -255,4 +256,4 @@ def _turning(yaw: Jet, pitch: Jet, roll: Jet) -> tuple[Floats, Floats, Floats]:
         ),
         axis=1,
     )
-    return attitude(yaw[0], p, r), w, w_rate
+    return euler_to_matrix(r, p, yaw[0]), w, w_rate

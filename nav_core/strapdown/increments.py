@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from nav_core.attitude.kernels import cross, total
 from nav_core.errors import OrderError, RangeError, ShapeError, TooLittleDataError
 from nav_core.typing import Floats, kernel
 
@@ -70,7 +71,7 @@ def from_rates(t: Floats, w: Floats, f: Floats) -> Increments:
     # Half the integral of (angle so far) x w for linear w; likewise with f.
     coning = T**2 / 12.0 * np.cross(w[:-1], w[1:])
     sculling = T**2 / 12.0 * (np.cross(w[:-1], f[1:]) + np.cross(f[:-1], w[1:]))
-    return Increments(t, angle + coning, thrust + 0.5 * np.cross(angle, thrust) + sculling)
+    return Increments(t, angle + coning, _as_it_turns(angle, thrust) + sculling)
 
 
 def from_integrals(t: Floats, angle: Floats, thrust: Floats, *, per_interval: int = 1) -> Increments:
@@ -96,49 +97,53 @@ def from_integrals(t: Floats, angle: Floats, thrust: Floats, *, per_interval: in
 
     Notes
     -----
-    Savage 1998 part 1 eqs. 46-49 and part 2 eqs. 39-44: each reading takes its predecessor's to know how rate and
-    force change.  The very first has none and counts as constant.
+    Savage's recursions (1998, parts 1 and 2): each reading takes its predecessor's to know how rate and force change.
+    The very first has none and counts as constant.
     """
     angle, thrust, t = _readings("angle", angle, t, 1), _readings("thrust", thrust, t, 1), _check_times(t)
     if per_interval < 1:
         raise RangeError("per_interval", float(per_interval), ">= 1")
     if angle.shape[0] % per_interval != 0:
         raise ShapeError("angle", angle.shape, f"(m * {per_interval}, 3)")
-    rotation, velocity = gather(angle, thrust, per_interval)
-    return Increments(t[::per_interval], rotation, velocity)
+    angle, thrust, coning, sculling = gather(angle, thrust, per_interval)
+    return Increments(t[::per_interval], angle + coning, _as_it_turns(angle, thrust) + sculling)
 
 
 @kernel
-def gather(angle: Floats, thrust: Floats, per_interval: int) -> tuple[Floats, Floats]:
-    """Rotation vectors and velocity changes, each (n / per_interval, 3), of readings (n, 3); see `from_integrals`."""
+def gather(angle: Floats, thrust: Floats, per_interval: int) -> tuple[Floats, Floats, Floats, Floats]:
+    """Sums of readings (n, 3) over intervals, and their coning (rad) and sculling (m/s), each (n / per_interval, 3)."""
     count = angle.shape[0] // per_interval
-    rotation, velocity = np.empty((count, 3)), np.empty((count, 3))
+    angles, thrusts = np.zeros((count, 3)), np.zeros((count, 3))
+    coning, sculling = np.zeros((count, 3)), np.zeros((count, 3))
     for m in range(count):
-        # Sums so far within the interval: angle, thrust, coning, sculling.
-        ax = ay = az = vx = vy = vz = cx = cy = cz = sx = sy = sz = 0.0
+        alpha = upsilon = (0.0, 0.0, 0.0)
         for k in range(m * per_interval, (m + 1) * per_interval):
-            dx, dy, dz = angle[k, 0], angle[k, 1], angle[k, 2]
-            ux, uy, uz = thrust[k, 0], thrust[k, 1], thrust[k, 2]
-            before = k - 1 if k > 0 else 0
-            px = ax + angle[before, 0] / 6.0
-            py = ay + angle[before, 1] / 6.0
-            pz = az + angle[before, 2] / 6.0
-            qx = vx + thrust[before, 0] / 6.0
-            qy = vy + thrust[before, 1] / 6.0
-            qz = vz + thrust[before, 2] / 6.0
-            cx += 0.5 * (py * dz - pz * dy)
-            cy += 0.5 * (pz * dx - px * dz)
-            cz += 0.5 * (px * dy - py * dx)
-            sx += 0.5 * (py * uz - pz * uy + qy * dz - qz * dy)
-            sy += 0.5 * (pz * ux - px * uz + qz * dx - qx * dz)
-            sz += 0.5 * (px * uy - py * ux + qx * dy - qy * dx)
-            ax, ay, az = ax + dx, ay + dy, az + dz
-            vx, vy, vz = vx + ux, vy + uy, vz + uz
-        rotation[m, 0], rotation[m, 1], rotation[m, 2] = ax + cx, ay + cy, az + cz
-        velocity[m, 0] = vx + sx + 0.5 * (ay * vz - az * vy)
-        velocity[m, 1] = vy + sy + 0.5 * (az * vx - ax * vz)
-        velocity[m, 2] = vz + sz + 0.5 * (ax * vy - ay * vx)
-    return rotation, velocity
+            turned = (angle[k, 0], angle[k, 1], angle[k, 2])
+            gained = (thrust[k, 0], thrust[k, 1], thrust[k, 2])
+            # Of a reading crossed with itself nothing is left: so much for the first one's predecessor.
+            before = max(k - 1, 0)
+            a = total(alpha, 1.0 / 6.0, (angle[before, 0], angle[before, 1], angle[before, 2]))
+            u = total(upsilon, 1.0 / 6.0, (thrust[before, 0], thrust[before, 1], thrust[before, 2]))
+            cone = cross(a, turned)
+            scull = total(cross(a, gained), 1.0, cross(u, turned))
+            for i in range(3):
+                coning[m, i] += 0.5 * cone[i]
+                sculling[m, i] += 0.5 * scull[i]
+            alpha, upsilon = total(alpha, 1.0, turned), total(upsilon, 1.0, gained)
+        for i in range(3):
+            angles[m, i], thrusts[m, i] = alpha[i], upsilon[i]
+    return angles, thrusts, coning, sculling
+
+
+def _as_it_turns(angle: Floats, thrust: Floats) -> Floats:
+    """Velocity change in the axes of the interval's start, exact for constant rate and force (Savage 1998 part 2)."""
+    size = np.linalg.norm(angle, axis=-1, keepdims=True)
+    first = 0.5 * np.sinc(size / (2.0 * np.pi)) ** 2
+    # (1 - sin(x) / x) / x² loses its digits where x is small.
+    small = size < 1e-2
+    second = np.where(small, 1.0 / 6.0 - size**2 / 120.0, (1.0 - np.sinc(size / np.pi)) / np.where(small, 1.0, size**2))
+    once = np.cross(angle, thrust)
+    return thrust + first * once + second * np.cross(angle, once)
 
 
 def _check_times(t: Floats) -> Floats:

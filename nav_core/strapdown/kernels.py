@@ -1,8 +1,9 @@
 """One step of each strapdown mechanisation of 000 §2.5, and the loops over them, compiled.
 
 Every step takes a rotation vector and a velocity change of the body (`nav_core.strapdown.increments`) and advances its
-state in place, accurate to second order in the period `T`: rates, Coriolis term and gravity are those of the middle of the step,
-predicted from its start.  The rotation of b is exact for its rotation vector, that of the frame for a constant rate.
+state in place, accurate to second order in the period `T`: rates, Coriolis term and gravity are those of the middle
+of the step, predicted from its start.  The rotation of b is exact for its rotation vector, that of the frame for
+a constant rate.
 
 ``hold`` keeps the height: the vertical velocity is put to zero after each step, because height on inertial
 sensors alone runs away within minutes.
@@ -13,11 +14,10 @@ from __future__ import annotations
 import numpy as np
 
 from nav_core import earth
-from nav_core.attitude.kernels import chain, matrix_of
+from nav_core.attitude.kernels import Vector, cross, total, turn
 from nav_core.typing import Floats, kernel
 
-radii = kernel(earth.radii)
-gravity = kernel(earth.gravity)
+gravity_at = kernel(earth.gravity_at)
 meridian_of = kernel(earth.meridian_of)
 
 RATE = earth.RATE
@@ -25,46 +25,43 @@ ECCENTRICITY2 = earth.ECCENTRICITY2
 
 
 @kernel
-def turn(C: Floats, frame: Floats, body: Floats) -> None:
-    """Replace the attitude `C` by ``exp(-[frame]x) C exp([body]x)``; both are rotation vectors, rad."""
-    left, right, half = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
-    matrix_of(-frame, left)
-    matrix_of(body, right)
-    chain(C, right, half)
-    chain(left, half, C)
-
-
-@kernel
-def resolved(C: Floats, velocity: Floats, frame: Floats, out: Floats) -> None:
-    """Write into `out` a velocity change of the body in the axes of a frame that turns by `frame`, rad, meanwhile.
+def resolved(C: Floats, velocity: Floats, frame: Vector) -> Vector:
+    """A velocity change of the body in the axes of a frame that turns by `frame`, rad, meanwhile.
 
     ``(I - [frame]x / 2) C velocity``: in the mean over the step the frame has turned by half.
     """
-    x = C[0, 0] * velocity[0] + C[0, 1] * velocity[1] + C[0, 2] * velocity[2]
-    y = C[1, 0] * velocity[0] + C[1, 1] * velocity[1] + C[1, 2] * velocity[2]
-    z = C[2, 0] * velocity[0] + C[2, 1] * velocity[1] + C[2, 2] * velocity[2]
-    out[0] = x - 0.5 * (frame[1] * z - frame[2] * y)
-    out[1] = y - 0.5 * (frame[2] * x - frame[0] * z)
-    out[2] = z - 0.5 * (frame[0] * y - frame[1] * x)
+    x, y, z = velocity[0], velocity[1], velocity[2]
+    change = (
+        C[0, 0] * x + C[0, 1] * y + C[0, 2] * z,
+        C[1, 0] * x + C[1, 1] * y + C[1, 2] * z,
+        C[2, 0] * x + C[2, 1] * y + C[2, 2] * z,
+    )
+    return total(change, -0.5, cross(frame, change))
 
 
 @kernel
-def local_rates(lat: float, height: float, v: Floats, spin: Floats, transport: Floats) -> None:
-    """Write Earth rate and transport rate in T axes, rad/s (000 eqs. 2.4.5, 2.5.23)."""
-    meridian, normal = radii(lat)
-    spin[0], spin[1], spin[2] = RATE * np.cos(lat), 0.0, -RATE * np.sin(lat)
-    transport[0] = v[1] / (normal + height)
-    transport[1] = -v[0] / (meridian + height)
-    transport[2] = -transport[0] * np.tan(lat)
+def curvatures(sin_lat: float, height: float) -> tuple[float, float]:
+    """One over the radii of curvature along and across the meridian at a height, 1/m (as `earth.radii`)."""
+    bulge = 1.0 - ECCENTRICITY2 * sin_lat * sin_lat
+    normal = earth.SEMI_MAJOR / np.sqrt(bulge)
+    return 1.0 / (normal * (1.0 - ECCENTRICITY2) / bulge + height), 1.0 / (normal + height)
 
 
 @kernel
-def coriolis(spin: Floats, transport: Floats, v: Floats, out: Floats) -> None:
-    """Write ``-(2 spin + transport) x v``, m/s², into `out` (000 eq. 2.5.19)."""
-    x, y, z = 2.0 * spin[0] + transport[0], 2.0 * spin[1] + transport[1], 2.0 * spin[2] + transport[2]
-    out[0] = z * v[1] - y * v[2]
-    out[1] = x * v[2] - z * v[0]
-    out[2] = y * v[0] - x * v[1]
+def transport_of(along: float, across: float, tan_lat: float, v: Vector) -> Vector:
+    """Transport rate in T axes, rad/s (000 eq. 2.5.23), at curvatures `along` and `across` the meridian."""
+    return v[1] * across, -v[0] * along, -v[1] * across * tan_lat
+
+
+@kernel
+def gained(C: Floats, velocity: Floats, spin: Vector, transport: Vector, v: Vector, down: float, T: float) -> Vector:
+    """Change of the velocity `v` over a step in T or w: 000 eqs. 2.5.19 and 2.5.24, integrated.
+
+    `velocity` is that of the body, `down` gravity, m/s²; the rates are those of the middle of the step.
+    """
+    change = resolved(C, velocity, total((T * spin[0], T * spin[1], T * spin[2]), T, transport))
+    change = total(change, -T, cross(total(transport, 2.0, spin), v))
+    return change[0], change[1], change[2] + T * down
 
 
 @kernel
@@ -73,38 +70,29 @@ def step_local(place: Floats, v: Floats, C: Floats, rotation: Floats, velocity: 
 
     `place` is latitude, longitude (rad) and height (m); `v` (3,) north, east, down, m/s; `C` (3, 3) turns b into T.
     """
-    spin, transport, acceleration = np.empty(3), np.empty(3), np.empty(3)
-    gain, middle = np.empty(3), np.empty(3)
-    lat, height = place[0], place[2]
-    local_rates(lat, height, v, spin, transport)
-    coriolis(spin, transport, v, acceleration)
-    resolved(C, velocity, T * (spin + transport), gain)
-    acceleration[2] += gravity(lat, height)
-    for i in range(3):
-        middle[i] = v[i] + 0.5 * (gain[i] + T * acceleration[i])
-    if hold:
-        middle[2] = 0.0
-    meridian, normal = radii(lat)
-    lat += 0.25 * T * (v[0] + middle[0]) / (meridian + height)
-    height -= 0.25 * T * (v[2] + middle[2])
+    now = (v[0], v[1], v[2])
+    free = 0.0 if hold else 1.0
+    along, across = curvatures(np.sin(place[0]), place[2])
+    lat = place[0] + 0.5 * T * now[0] * along
+    height = place[2] - 0.5 * T * now[2]
+    sin_lat, cos_lat = np.sin(lat), np.cos(lat)
+    tan_lat, down = sin_lat / cos_lat, float(gravity_at(sin_lat * sin_lat, height))
+    along, across = curvatures(sin_lat, height)
+    spin = (RATE * cos_lat, 0.0, -RATE * sin_lat)
 
-    local_rates(lat, height, middle, spin, transport)
-    coriolis(spin, transport, middle, acceleration)
-    resolved(C, velocity, T * (spin + transport), gain)
-    acceleration[2] += gravity(lat, height)
-    for i in range(3):
-        middle[i] = 0.5 * v[i]
-        v[i] += gain[i] + T * acceleration[i]
-    if hold:
-        v[2] = 0.0
-    for i in range(3):
-        middle[i] += 0.5 * v[i]
-    meridian, normal = radii(lat)
-    place[0] += T * middle[0] / (meridian + height)
-    place[1] += T * middle[1] / ((normal + height) * np.cos(lat))
+    transport = transport_of(along, across, tan_lat, now)
+    middle = total(now, 0.5, gained(C, velocity, spin, transport, now, down, T))
+    middle = (middle[0], middle[1], free * middle[2])
+    transport = transport_of(along, across, tan_lat, middle)
+    after = total(now, 1.0, gained(C, velocity, spin, transport, middle, down, T))
+    v[0], v[1], v[2] = after[0], after[1], free * after[2]
+
+    middle = (0.5 * (now[0] + v[0]), 0.5 * (now[1] + v[1]), 0.5 * (now[2] + v[2]))
+    place[0] += T * middle[0] * along
+    place[1] += T * middle[1] * across / cos_lat
     place[2] -= T * middle[2]
-    local_rates(lat, height, middle, spin, transport)
-    turn(C, T * (spin + transport), rotation)
+    transport = transport_of(along, across, tan_lat, middle)
+    turn(C, total((T * spin[0], T * spin[1], T * spin[2]), T, transport), (rotation[0], rotation[1], rotation[2]))
 
 
 @kernel
@@ -121,3 +109,173 @@ def step_up(place: Floats, v: Floats, C: Floats, rotation: Floats, velocity: Flo
     v[2] = -v[2]
     for j in range(3):
         C[2, j] = -C[2, j]
+
+
+@kernel
+def wander_transport(axis: Vector, height: float, v: Vector) -> Vector:
+    """Transport rate in w axes, rad/s: its vertical component is zero (000 §2.5.4).
+
+    `axis` is the Earth's axis in w axes: ``cos(lat)`` times north in its first two components, ``-sin(lat)`` in the
+    third.  The curvatures along and across the meridian differ by a term in ``cos(lat)²``, so that `axis` itself, and
+    not the direction of north, says where they lie: no pole is singular.
+    """
+    along, across = curvatures(axis[2], height)
+    bulge = 1.0 - ECCENTRICITY2 * axis[2] * axis[2]
+    excess = earth.SEMI_MAJOR * ECCENTRICITY2 / (bulge * np.sqrt(bulge)) * along * across
+    excess *= axis[0] * v[0] + axis[1] * v[1]
+    return v[1] * across + excess * axis[1], -v[0] * across - excess * axis[0], 0.0
+
+
+@kernel
+def step_wander(
+    R_ew: Floats, height: float, v: Floats, C: Floats, rotation: Floats, velocity: Floats, T: float, hold: bool
+) -> float:
+    """Advance in wander azimuth (000 §2.5.4); returns the new height, m.
+
+    `R_ew` (3, 3) turns w into e, `v` (3,) is in w axes (z down), m/s, `C` (3, 3) turns b into w.
+    """
+    now = (v[0], v[1], v[2])
+    free = 0.0 if hold else 1.0
+    axis = (R_ew[2, 0], R_ew[2, 1], R_ew[2, 2])
+    # Half a step on, the axis has turned the other way round than w.
+    axis = total(axis, -0.5 * T, cross(wander_transport(axis, height, now), axis))
+    halfway = height - 0.5 * T * now[2]
+    down = float(gravity_at(axis[2] * axis[2], halfway))
+    spin = (RATE * axis[0], RATE * axis[1], RATE * axis[2])
+
+    transport = wander_transport(axis, halfway, now)
+    middle = total(now, 0.5, gained(C, velocity, spin, transport, now, down, T))
+    middle = (middle[0], middle[1], free * middle[2])
+    transport = wander_transport(axis, halfway, middle)
+    after = total(now, 1.0, gained(C, velocity, spin, transport, middle, down, T))
+    v[0], v[1], v[2] = after[0], after[1], free * after[2]
+
+    middle = (0.5 * (now[0] + v[0]), 0.5 * (now[1] + v[1]), 0.5 * (now[2] + v[2]))
+    transport = wander_transport(axis, halfway, middle)
+    turn(C, total((T * spin[0], T * spin[1], T * spin[2]), T, transport), (rotation[0], rotation[1], rotation[2]))
+    # Position is the attitude of w against e.
+    turn(R_ew, (0.0, 0.0, 0.0), (T * transport[0], T * transport[1], T * transport[2]))
+    return height - T * middle[2]
+
+
+@kernel
+def pull(x: float, y: float, z: float) -> Vector:
+    """Gravity at a position in e or i, m (both have z through the pole), in the same axes, m/s²."""
+    p = np.hypot(x, y)
+    sin_lat, cos_lat, height = meridian_of(p, z)
+    g = float(gravity_at(sin_lat * sin_lat, height))
+    outward = g * cos_lat / p if p > 0.0 else 0.0
+    return -outward * x, -outward * y, float(-g * sin_lat)
+
+
+@kernel
+def settle(r: Floats, v: Floats, height: float) -> None:
+    """Put a position in e or i back to `height`, m, and take the vertical part off its velocity."""
+    p = np.hypot(r[0], r[1])
+    sin_lat, cos_lat, now = meridian_of(p, r[2])
+    outward = cos_lat / p if p > 0.0 else 0.0
+    x, y, z = outward * r[0], outward * r[1], sin_lat
+    climb = x * v[0] + y * v[1] + z * v[2]
+    r[0], r[1], r[2] = r[0] + (height - now) * x, r[1] + (height - now) * y, r[2] + (height - now) * z
+    v[0], v[1], v[2] = v[0] - climb * x, v[1] - climb * y, v[2] - climb * z
+
+
+@kernel
+def step_cartesian(
+    r: Floats, v: Floats, C: Floats, rotation: Floats, velocity: Floats, T: float, frame_rate: float
+) -> None:
+    """Advance in e (000 §2.5.2) or i (§2.5.1), which turn with `frame_rate`: the Earth's, or none, rad/s.
+
+    `r` (3,) m; `v` (3,) the velocity against the Earth, m/s; `C` (3, 3) turns b into the frame.  With the Earth rate W
+    and the frame's F, ``v' = f - (W + F) x v + g`` (2.5.13, 2.5.9) and ``r' = v + (W - F) x r`` (2.5.1).
+    """
+    frame, both, drag = (0.0, 0.0, T * frame_rate), (0.0, 0.0, RATE + frame_rate), (0.0, 0.0, RATE - frame_rate)
+    now, place = (v[0], v[1], v[2]), (r[0], r[1], r[2])
+    middle = total(total(place, 0.5 * T, now), 0.5 * T, cross(drag, place))
+    force = total(resolved(C, velocity, frame), T, pull(middle[0], middle[1], middle[2]))
+    mean = total(now, 0.5, total(force, -T, cross(both, now)))
+    after = total(total(now, 1.0, force), -T, cross(both, mean))
+    place = total(total(total(place, 0.5 * T, now), 0.5 * T, after), T, cross(drag, middle))
+    v[0], v[1], v[2] = after[0], after[1], after[2]
+    r[0], r[1], r[2] = place[0], place[1], place[2]
+    turn(C, frame, (rotation[0], rotation[1], rotation[2]))
+
+
+@kernel
+def run_local(
+    place: Floats,
+    v: Floats,
+    C: Floats,
+    rotation: Floats,
+    velocity: Floats,
+    periods: Floats,
+    hold: bool,
+    up: bool,
+) -> tuple[Floats, Floats, Floats]:
+    """Places (n + 1, 3), velocities (n + 1, 3) and attitudes (n + 1, 3, 3) of `step_local` or, with `up`, `step_up`."""
+    n = periods.size
+    places, speeds, attitudes = np.empty((n + 1, 3)), np.empty((n + 1, 3)), np.empty((n + 1, 3, 3))
+    places[0], speeds[0], attitudes[0] = place, v, C
+    for k in range(n):
+        places[k + 1], speeds[k + 1], attitudes[k + 1] = places[k], speeds[k], attitudes[k]
+        if up:
+            step_up(places[k + 1], speeds[k + 1], attitudes[k + 1], rotation[k], velocity[k], periods[k], hold)
+        else:
+            step_local(places[k + 1], speeds[k + 1], attitudes[k + 1], rotation[k], velocity[k], periods[k], hold)
+    return places, speeds, attitudes
+
+
+@kernel
+def run_wander(
+    R_ew: Floats,
+    height: float,
+    v: Floats,
+    C: Floats,
+    rotation: Floats,
+    velocity: Floats,
+    periods: Floats,
+    hold: bool,
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """``R_ew`` (n + 1, 3, 3), heights (n + 1,), velocities and attitudes of `step_wander`."""
+    n = periods.size
+    frames, heights = np.empty((n + 1, 3, 3)), np.empty(n + 1)
+    speeds, attitudes = np.empty((n + 1, 3)), np.empty((n + 1, 3, 3))
+    frames[0], heights[0], speeds[0], attitudes[0] = R_ew, height, v, C
+    for k in range(n):
+        frames[k + 1], speeds[k + 1], attitudes[k + 1] = frames[k], speeds[k], attitudes[k]
+        heights[k + 1] = step_wander(
+            frames[k + 1],
+            heights[k],
+            speeds[k + 1],
+            attitudes[k + 1],
+            rotation[k],
+            velocity[k],
+            periods[k],
+            hold,
+        )
+    return frames, heights, speeds, attitudes
+
+
+@kernel
+def run_cartesian(
+    r: Floats,
+    v: Floats,
+    C: Floats,
+    rotation: Floats,
+    velocity: Floats,
+    periods: Floats,
+    hold: bool,
+    inertial: bool,
+) -> tuple[Floats, Floats, Floats]:
+    """Positions, velocities and attitudes of `step_cartesian` in e or, with `inertial`, in i."""
+    n = periods.size
+    places, speeds, attitudes = np.empty((n + 1, 3)), np.empty((n + 1, 3)), np.empty((n + 1, 3, 3))
+    places[0], speeds[0], attitudes[0] = r, v, C
+    _, _, height = meridian_of(np.hypot(r[0], r[1]), r[2])
+    frame_rate = 0.0 if inertial else RATE
+    for k in range(n):
+        places[k + 1], speeds[k + 1], attitudes[k + 1] = places[k], speeds[k], attitudes[k]
+        step_cartesian(places[k + 1], speeds[k + 1], attitudes[k + 1], rotation[k], velocity[k], periods[k], frame_rate)
+        if hold:
+            settle(places[k + 1], speeds[k + 1], float(height))
+    return places, speeds, attitudes

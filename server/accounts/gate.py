@@ -28,7 +28,6 @@ from server.settings import Settings
 from server.view3d import permission
 
 _OPEN = frozenset({"/healthz", "/readyz", "/metrics", "/openapi.json", "/docs"})
-_OPEN_BELOW = ("/static/", "/api/v1/claim")
 _SIGN_IN = ("/login", "/api/v1/auth")
 _DEVICE_PATHS = frozenset({"/api/v1/batches"})
 _VIEW = re.compile(r"/view3d/(?P<ticket>[A-Za-z0-9_-]{16,})/(?P<device>[0-9a-f]{32})(?:/.*)?")
@@ -41,7 +40,7 @@ def _is_below(path: str, roots: tuple[str, ...]) -> bool:
 
 
 def _is_open(path: str) -> bool:
-    return path in _OPEN or path.startswith("/static/") or _is_below(path, _OPEN_BELOW)
+    return path in _OPEN or path.startswith("/static/")
 
 
 class AccessGate:

@@ -66,6 +66,7 @@ def build_parser() -> argparse.ArgumentParser:
         return command
 
     _add_file_commands(add)
+    _add_sensor_commands(add)
     _add_service_commands(add)
     return parser
 
@@ -105,6 +106,19 @@ def _add_file_commands(add: Add) -> None:
     )
     simulate.add_argument("--json", action="store_true", help="print the truth")
 
+    navigate = add("navigate", "navigate:navigate", "Track of a drive from GPS and inertial sensors, through outages.")
+    navigate.add_argument("drive", type=Path, metavar="DRIVE")
+    navigate.add_argument("--out", type=Path, required=True, metavar="TRACK", help="track to write: .csv or .parquet")
+    navigate.add_argument(
+        "--mount",
+        type=Path,
+        metavar="MOUNT.json",
+        help="what `mount --json` printed; default: from the drive itself",
+    )
+    navigate.add_argument("--forward", action="store_true", help="no smoothing: each moment knows only its past")
+    navigate.add_argument("--plot", type=Path, metavar="FIGURE", help="write a figure: .png, .svg or .pdf")
+    navigate.add_argument("--json", action="store_true")
+
     upload = add("upload", "upload:upload", "Upload a drive file as a box would; resumes where it stopped.")
     upload.add_argument("drive", type=Path, metavar="DRIVE")
     upload.add_argument("--url", required=True, help="address of the service")
@@ -112,6 +126,45 @@ def _add_file_commands(add: Add) -> None:
     upload.add_argument("--boot", help="name of this run of the box's clock; default: from the file's content")
     upload.add_argument("--seconds", type=float, default=60.0, help="length of a batch")
     upload.add_argument("--json", action="store_true")
+
+
+def _add_sensor_commands(add: Add) -> None:
+    allan = add("allan", "allan:allan", "Allan deviation and noise coefficients of a recording at rest.")
+    allan.add_argument("file", type=Path, metavar="FILE", help="columns t and any of f*, w*, m*; CSV or Parquet")
+    allan.add_argument("--rate", type=float, help="samples per second where the stamps do not tell")
+    allan.add_argument("--terms", default="NBK", help="coefficients to fit, of N, B, K, Q; default: %(default)s")
+
+    calibrate = add("calibrate", "calibrate:calibrate", "Calibrate an accelerometer, gyro or magnetometer.")
+    calibrate.add_argument("sensor", choices=("accel", "gyro", "mag"))
+    calibrate.add_argument("file", type=Path, metavar="FILE", help="columns t and f*, w* or m*; CSV or Parquet")
+    calibrate.add_argument(
+        "--reference",
+        type=Path,
+        metavar="FILE",
+        help="the true input: columns t and f*, w* or m*, or roll_deg, pitch_deg, yaw_deg; CSV",
+    )
+    calibrate.add_argument("--poses", action="store_true", help="each row is the mean of one pose")
+    calibrate.add_argument("--gravity", type=float, default=9.80665, help="local, m/s²; default: %(default)s")
+    calibrate.add_argument(
+        "--speeds", type=numbers(1, 2, 3, 4), metavar="DEG_PER_S[,...]", help="gyro: rates of the turntable used"
+    )
+    calibrate.add_argument(
+        "--field", type=numbers(1, 3), metavar="UT|N,E,D", help="mag: true field, its magnitude or vector, µT"
+    )
+    calibrate.add_argument("--window", type=float, default=1.0, help="s, over which rest is told; default: 1")
+    align = add("align", "align:align", "Level a box at its longest rest in a file, and find its heading where it can.")
+    align.add_argument("file", type=Path, metavar="FILE", help="drive file: CSV or Parquet")
+    align.add_argument("--lat", type=float, metavar="DEG", help="latitude; default: from the file's fixes")
+    align.add_argument("--lon", type=float, metavar="DEG", help="longitude, same")
+    align.add_argument("--height", type=float, metavar="M", help="height, same")
+    align.add_argument("--year", type=float, help="decimal year for the magnetic field; default: from the file's utc")
+    align.add_argument("--accel-bias-mg", type=float, default=5.0, help="1-sigma of the accelerometer's bias")
+    align.add_argument("--gyro-bias-deg-per-hour", type=float, default=360.0, help="1-sigma of the gyro's bias")
+    align.add_argument("--field-sigma-ut", type=float, default=1.0, help="1-sigma of the magnetometer")
+    align.add_argument("--heading-limit-deg", type=float, default=5.0, help="largest 1-sigma of a heading of use")
+    for command in (allan, calibrate, align):
+        command.add_argument("--json", action="store_true")
+        command.add_argument("--plot", type=Path, metavar="IMAGE", help="write a figure: .png, .svg or .pdf")
 
 
 def _add_service_commands(add: Add) -> None:

@@ -11,13 +11,14 @@ from server.accounts.access import Administrator, Reader
 from server.devices import queries, service
 from server.devices.schemas import DeviceIn, DeviceOut, DevicePage, DeviceToken, ReferenceMountings, VehicleChoice
 from server.edge import DatabaseOf, Now
+from server.problems import described
 
 router = APIRouter(prefix="/api/v1/devices", tags=["devices"])
 
 IdempotencyKey = Annotated[str | None, Header(min_length=1, max_length=200)]
 
 
-@router.post("", status_code=201, responses={200: {"model": DeviceToken}})
+@router.post("", status_code=201, responses={200: {"model": DeviceToken}, **described(409)})
 def register(
     wanted: DeviceIn,
     response: Response,

@@ -46,9 +46,16 @@ def register(
     session.get_one(Organisation, organisation_id, with_for_update=True)
     if idempotency_key is not None:
         same = Device.organisation_id == organisation_id, Device.idempotency_key == idempotency_key
-        known = session.scalar(select(Device.id).where(*same))
+        known = session.execute(select(Device.id, Device.name).where(*same)).first()
         if known is not None:
-            return DeviceToken(id=known, token=None), False
+            # Its vehicle is not compared: it may have been put into another one since.
+            if known.name != wanted.name:
+                raise ConflictError(
+                    "Another box was registered under this key; a key is used once",
+                    code="idempotency_key_reused",
+                    device_id=known.id,
+                )
+            return DeviceToken(id=known.id, token=None), False
     _check_vehicle(session, organisation_id, wanted.vehicle_id)
     token = new_token(TOKEN_PREFIX)
     device = Device(

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
-from server.models import Batch
+from server.models import Batch, SequenceRun
 
 MAX_RANGES = 100
 
@@ -41,18 +41,15 @@ def backlog(session: Session) -> Backlog:
 
 
 def progress(session: Session, device_id: str, stream: str, boot: str) -> Progress:
-    """Gaps of a boot's stream, at most `MAX_RANGES` of them, found by the database in one pass over an index."""
-    of_boot = Batch.device_id == device_id, Batch.stream == stream, Batch.boot == boot
-    before = func.lag(Batch.sequence, 1, -1).over(order_by=Batch.sequence).label("before")
-    steps = select(Batch.sequence.label("sequence"), before).where(*of_boot).subquery()
-    gaps = session.execute(
-        select(steps.c.before + 1, steps.c.sequence - 1)
-        .where(steps.c.sequence > steps.c.before + 1)
-        .order_by(steps.c.sequence)
-        .limit(MAX_RANGES)
-    ).all()
-    missing = [(int(first), int(last)) for first, last in gaps]
-    if missing:
-        return Progress(next_sequence=missing[0][0], missing=missing)
-    highest = session.scalar(select(func.max(Batch.sequence)).where(*of_boot))
-    return Progress(next_sequence=0 if highest is None else int(highest) + 1, missing=[])
+    """Gaps of a boot's stream, the first `MAX_RANGES` of them; as many rows are read, however long it is."""
+    of_boot = SequenceRun.device_id == device_id, SequenceRun.stream == stream, SequenceRun.boot == boot
+    runs = session.execute(
+        select(SequenceRun.first, SequenceRun.last).where(*of_boot).order_by(SequenceRun.first).limit(MAX_RANGES + 1)
+    )
+    missing: list[tuple[int, int]] = []
+    wanted = 0
+    for first, last in runs:
+        if first > wanted:
+            missing.append((wanted, first - 1))
+        wanted = last + 1
+    return Progress(missing[0][0] if missing else wanted, missing[:MAX_RANGES])

@@ -19,6 +19,7 @@ from server.formats.encoding import encoding_of, unpack
 from server.ingest import queries, service
 from server.ingest.schemas import Acknowledgement
 from server.limits import TokenBuckets
+from server.problems import described
 from server.settings import Settings
 from server.store import BlobStore, blob_key
 from server.telemetry import Telemetry
@@ -47,7 +48,7 @@ _BODY = {
 }
 
 
-@router.post(PATH, status_code=202, openapi_extra=_BODY)
+@router.post(PATH, status_code=202, openapi_extra=_BODY, responses=described(409, 413, 415, 429))
 async def upload(
     request: Request,
     caller: DeviceCaller,

@@ -16,7 +16,7 @@ from server.errors import ConflictError, InvalidError, UnauthenticatedError
 from server.formats.columns import Columns
 from server.ingest.chain import link
 from server.live.changes import announce
-from server.models import Batch, Device, new_id
+from server.models import Batch, Device, SequenceRun, new_id
 
 Stream = Literal["continuous", "burst"]
 
@@ -129,6 +129,7 @@ def accept(session: Session, device_id: str, upload: Upload, *, now: dt.datetime
         remarks=remarks_on(upload.columns),
     )
     session.add(batch)
+    _extend_runs(session, device_id, upload.key)
     device.chain_length += 1
     device.chain_head = chain
     announce(
@@ -141,6 +142,25 @@ def accept(session: Session, device_id: str, upload: Upload, *, now: dt.datetime
         data={"stream": batch.stream, "rows": batch.rows},
     )
     return batch, False
+
+
+def _extend_runs(session: Session, device_id: str, key: BatchKey) -> None:
+    """Count a new sequence into the runs: it lengthens one, joins two, or begins its own."""
+    of_boot = SequenceRun.device_id == device_id, SequenceRun.stream == key.stream, SequenceRun.boot == key.boot
+    below = session.scalar(
+        select(SequenceRun)
+        .where(*of_boot, SequenceRun.first < key.sequence)
+        .order_by(SequenceRun.first.desc())
+        .limit(1)
+    )
+    above = session.get(SequenceRun, (device_id, key.stream, key.boot, key.sequence + 1))
+    last = key.sequence if above is None else above.last
+    if above is not None:
+        session.delete(above)
+    if below is not None and below.last == key.sequence - 1:
+        below.last = last
+    else:
+        session.add(SequenceRun(device_id=device_id, stream=key.stream, boot=key.boot, first=key.sequence, last=last))
 
 
 def remarks_on(columns: Columns) -> list[dict[str, str]]:

@@ -78,7 +78,7 @@ class Trips:
         boot.trip_state = track.state.to_json()
 
     def give_up(self, boot: Boot) -> None:
-        """End what is under way in a boot: a later boot has data, or the box fell silent."""
+        """End what is under way in a boot: nothing tells that the vehicle still moves."""
         state = TrackState.from_json(boot.trip_state)
         if state.trip is None or state.given_up:
             return
@@ -87,7 +87,8 @@ class Trips:
         if row is not None:
             row.under_way = False
             self._results.put(row)
-            self._announce(row)
+            if not any(told.kind == "trip" and told.data["trip_id"] == row.id for told in self._results.announcements):
+                self._announce(row)
         state.given_up = True
         boot.trip_state = state.to_json()
         self._results.put(boot)
@@ -117,6 +118,12 @@ class Trips:
 
     def _announce(self, row: Trip) -> None:
         self._results.announce("trip", row.vehicle_id, trip_id=row.id)
+
+
+def has_rested(boot: Boot) -> bool:
+    """Whether a boot's data go on for a rest's length after the last movement, with fixes or without."""
+    trip = TrackState.from_json(boot.trip_state).trip
+    return trip is not None and boot.t_last_s - trip.moved_at > REST_S
 
 
 def _is_remapped(boot: Boot, state: TrackState) -> bool:

@@ -31,7 +31,7 @@ from server.jobs.mountings import Estimator, Mountings, Sources
 from server.jobs.results import Results
 from server.jobs.situation import Situation
 from server.jobs.stretch import Piece
-from server.jobs.trips import StoredTrips, Trips
+from server.jobs.trips import StoredTrips, Trips, has_rested
 from server.live.changes import announce
 from server.models import Batch, BatchDigest, Boot, Device, DeviceState, MountingRevision, TrackPoint, Trip
 from server.store import BlobStore
@@ -239,9 +239,9 @@ class Round:
         )
         for name, parts in _by_boot(pieces).items():
             trips.continue_boot(boots[name], parts)
-        latest = max(boots.values(), key=lambda boot: boot.unix_s(boot.t_last_s), default=None)
+        latest, ends_at = self._latest_boot, self._trips_end_at
         for boot in boots.values():
-            if boot is not latest or self._silent_s >= REST_S:
+            if boot is not latest or has_rested(boot) or (ends_at is not None and ends_at <= self._now):
                 trips.give_up(boot)
 
     def _mountings(self, pieces: list[Piece]) -> bool:
@@ -256,13 +256,30 @@ class Round:
         under_way = any(
             boot.trip_state.get("trip") and not boot.trip_state["given_up"] for boot in self._situation.boots.values()
         )
-        wait = self._quiet_s if pending else REST_S if under_way else None
         arrival = self._situation.last_arrival
-        if wait is None or arrival is None:
-            self._state.review_at = None
-            return
+        due = None
+        if pending and arrival is not None:
+            due = arrival + dt.timedelta(seconds=self._quiet_s)
+        elif under_way:
+            due = self._trips_end_at
         # Never before now: a review that found nothing to do must not come due at once again.
-        self._state.review_at = max(arrival + dt.timedelta(seconds=wait), self._now + dt.timedelta(seconds=1))
+        self._state.review_at = None if due is None else max(due, self._now + dt.timedelta(seconds=1))
+
+    @property
+    def _latest_boot(self) -> Boot | None:
+        return max(self._situation.boots.values(), key=lambda boot: boot.unix_s(boot.t_last_s), default=None)
+
+    @property
+    def _trips_end_at(self) -> dt.datetime | None:
+        """When nothing is under way any more unless data come: a rest's length after the last word.
+
+        Both clocks count: data that were old when they came tell of nothing that goes on, and those of a
+        box whose clock is ahead end with its silence.
+        """
+        arrival, boot = self._situation.last_arrival, self._latest_boot
+        if arrival is None or boot is None:
+            return None
+        return min(arrival, boot.utc(boot.t_last_s)) + dt.timedelta(seconds=REST_S)
 
     @property
     def _quiet_s(self) -> float:

@@ -15,6 +15,7 @@ import structlog
 from server.database import Database
 from server.jobs.due import due_devices
 from server.jobs.supervise import parent_fd
+from server.migrations import is_current
 from server.settings import Settings, set_numba_cache_dir
 from server.store import BlobStore, collect, open_store
 
@@ -39,6 +40,7 @@ def utc_now() -> dt.datetime:
 
 def run(settings: Settings) -> None:
     """Be a worker until SIGTERM, SIGINT, or the end of the supervisor."""
+    _check_schema(settings)
     set_numba_cache_dir()
     os.nice(NICENESS)
     stop = threading.Event()
@@ -57,6 +59,15 @@ def run(settings: Settings) -> None:
         from server.jobs.broker import run_consumer
 
         run_consumer(settings, stop=stop, clock=utc_now)
+
+
+def _check_schema(settings: Settings) -> None:
+    database = Database(settings)
+    try:
+        if not is_current(database.engine):
+            raise ValueError("the database is not at this version's schema: run `scatola migrate` first")
+    finally:
+        database.dispose()
 
 
 def run_worker(

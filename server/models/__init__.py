@@ -2,7 +2,7 @@
 
 from server.models.access import SignInCode, ViewTicket, WebSession
 from server.models.base import Base, new_id
-from server.models.batch import Batch, BatchDigest
+from server.models.batch import Batch, BatchDigest, SequenceRun
 from server.models.change import Change
 from server.models.device import Boot, Device, DeviceState
 from server.models.installation import Installation, MountingRevision
@@ -22,6 +22,7 @@ __all__ = [
     "Installation",
     "MountingRevision",
     "Organisation",
+    "SequenceRun",
     "SignInCode",
     "TrackPoint",
     "Trip",

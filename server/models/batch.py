@@ -52,6 +52,22 @@ class Batch(Base):
     failure: Mapped[str | None] = mapped_column(String(500))
 
 
+class SequenceRun(Base):
+    """A longest unbroken run of a boot's stored sequences: what is missing lies between two of them.
+
+    Kept under the lock of the device's row, in the transaction that stores the batch: an upload needs no
+    look at the batches that came before it.
+    """
+
+    __tablename__ = "sequence_run"
+
+    device_id: Mapped[str] = mapped_column(ForeignKey("device.id", ondelete="CASCADE"), primary_key=True)
+    stream: Mapped[str] = mapped_column(String(10), primary_key=True)
+    boot: Mapped[str] = mapped_column(String(64), primary_key=True)
+    first: Mapped[int] = mapped_column(BigInteger, primary_key=True, autoincrement=False)
+    last: Mapped[int] = mapped_column(BigInteger)
+
+
 class BatchDigest(Base):
     """The conditioned content of a batch: what re-estimation needs, a few per cent of the raw size."""
 

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import datetime as dt
-from collections.abc import Sequence
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from sqlalchemy import func, select
+from sqlalchemy import and_, case, func, select
 from sqlalchemy.orm import Session
 
 from server.errors import NotFoundError
@@ -36,7 +37,9 @@ class Box:
     installation: Installation | None
     standing: Standing
     distance_m: float
-    """Over all trips of the box."""
+    """Over all trips of the vehicle, or of the box where it sits in none."""
+    speed_mps: float | None
+    """At a fix so young that it tells of now."""
     reporting: bool
     silent: bool
     moved_lately: bool
@@ -167,18 +170,12 @@ def _boxes(
     device_id: str | None = None,
 ) -> list[Box]:
     """Boxes in use, with vehicle, state and open installation; revoked ones only when asked for by id."""
-    distance = (
-        select(Trip.device_id, func.sum(Trip.distance_m).label("metres"))
-        .where(Trip.organisation_id == organisation_id)
-        .group_by(Trip.device_id)
-        .subquery()
-    )
+    distances = _distances(session, organisation_id)
     statement = (
-        select(Device, Vehicle, DeviceState, Installation, distance.c.metres)
+        select(Device, Vehicle, DeviceState, Installation)
         .outerjoin(Vehicle, Vehicle.id == Device.vehicle_id)
         .outerjoin(DeviceState, DeviceState.device_id == Device.id)
         .outerjoin(Installation, (Installation.device_id == Device.id) & Installation.ended_at.is_(None))
-        .outerjoin(distance, distance.c.device_id == Device.id)
         .where(Device.organisation_id == organisation_id)
         .order_by(func.coalesce(Vehicle.name, Device.name), Device.name, Installation.began_at)
     )
@@ -186,10 +183,48 @@ def _boxes(
         statement = statement.where(Device.vehicle_id == vehicle_id)
     statement = statement.where(Device.id == device_id) if device_id else statement.where(Device.revoked_at.is_(None))
     boxes = {
-        device.id: _box(device, vehicle, state, installation, metres or 0.0, now=now)
-        for device, vehicle, state, installation, metres in session.execute(statement)
+        device.id: _box(device, vehicle, state, installation, distances.of(device), now=now)
+        for device, vehicle, state, installation in session.execute(statement)
     }
     return list(boxes.values())
+
+
+@dataclass(frozen=True)
+class _Distances:
+    """Metres driven, so that they can be told for a vehicle whichever boxes it carried."""
+
+    boxes: Mapping[str, float]
+    """Of a box, wherever it sat."""
+    together: Mapping[tuple[str, str], float]
+    """Of a box in the vehicle that it still sits in."""
+    former: Mapping[str, float]
+    """Of a vehicle with boxes that left it."""
+
+    def of(self, device: Device) -> float:
+        """What its row shows.  Another box in the same vehicle measured the same way: it counts in its own row."""
+        if device.vehicle_id is None or device.revoked_at is not None:
+            return self.boxes.get(device.id, 0.0)
+        return self.together.get((device.id, device.vehicle_id), 0.0) + self.former.get(device.vehicle_id, 0.0)
+
+
+def _distances(session: Session, organisation_id: str) -> _Distances:
+    sits_there = and_(Device.vehicle_id == Trip.vehicle_id, Device.revoked_at.is_(None))
+    driven = session.execute(
+        select(Trip.device_id, Trip.vehicle_id, func.sum(Trip.distance_m), func.max(case((sits_there, 1), else_=0)))
+        .join(Device, Device.id == Trip.device_id)
+        .where(Trip.organisation_id == organisation_id)
+        .group_by(Trip.device_id, Trip.vehicle_id)
+    )
+    boxes: defaultdict[str, float] = defaultdict(float)
+    former: defaultdict[str, float] = defaultdict(float)
+    together: dict[tuple[str, str], float] = {}
+    for device_id, vehicle_id, metres, still_there in driven:
+        boxes[device_id] += metres
+        if vehicle_id is not None and still_there:
+            together[device_id, vehicle_id] = metres
+        elif vehicle_id is not None:
+            former[vehicle_id] += metres
+    return _Distances(boxes, together, former)
 
 
 def _box(
@@ -208,6 +243,11 @@ def _box(
         else standing(installation.status, installation.result, progress=installation.progress, moved=moved)
     )
     quiet_for = None if device.last_seen_at is None else now - device.last_seen_at
+    reporting = quiet_for is not None and quiet_for < LIVE_WITHIN
+    # Both count: what a box sends late is old although the box is heard now.
+    is_live = (
+        reporting and state is not None and state.position_at is not None and now - state.position_at < LIVE_WITHIN
+    )
     return Box(
         device=device,
         vehicle=vehicle,
@@ -215,7 +255,8 @@ def _box(
         installation=installation,
         standing=how,
         distance_m=distance_m,
-        reporting=quiet_for is not None and quiet_for < LIVE_WITHIN,
+        speed_mps=state.speed_mps if state is not None and is_live else None,
+        reporting=reporting,
         silent=quiet_for is None or quiet_for > SILENT_AFTER,
         moved_lately=installation is not None
         and moved

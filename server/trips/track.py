@@ -88,7 +88,7 @@ class TrackState:
     """The boot's clock when its trips were laid out."""
     utc_drift: float = 0.0
     given_up: bool = False
-    """Whether the open trip was ended from outside: a later boot has data, or the box fell silent."""
+    """Whether the open trip was ended from outside: a later boot has data, or nothing tells of movement."""
 
     def to_json(self) -> dict[str, Any]:
         """Plain document for the database."""

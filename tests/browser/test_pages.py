@@ -5,6 +5,7 @@ from __future__ import annotations
 import datetime as dt
 import io
 import json
+import re
 
 import numpy as np
 import pytest
@@ -154,6 +155,7 @@ def test_what_is_missing_is_said_and_nothing_is_made_up(site, open_page, screens
     expect(page.locator(".chart-words")).to_have_text("Not yet: no samples in this window")
     page.locator("track-map").scroll_into_view_if_needed()
     expect(page.locator("track-map")).to_contain_text("Not yet: no trip to show")
+    expect(page.locator("track-map")).to_have_attribute("data-place", re.compile(r"^\d+\.\d+ \d+\.\d+$"))
     screenshot(page, "vehicle-calibrating")
     page.goto(f"/vehicles/{site.vehicles['Piaggio Porter']}")
     expect(page.locator("#mounting .missing")).to_have_count(6)

@@ -182,6 +182,16 @@ def test_no_satellites_is_insufficient():
     assert estimate_mounting(Drive(drive.inertial, empty)).status == "insufficient"
 
 
+@pytest.mark.parametrize("count", [1, 2])
+def test_a_fix_or_two_are_a_beginning(count: int):
+    drive, _ = simulate(Scenario(duration=10.0), seed=1)
+    names = ("t", "lat", "lon", "alt", "speed", "course", "fix")
+    begun = Gnss(*(getattr(drive.gnss, name)[4 : 4 + count] for name in names))
+    found = estimate_mounting(Drive(drive.inertial, begun))
+    assert found.status == "insufficient"
+    assert [reason.code for reason in found.reasons] == ["few_fixes"]
+
+
 def test_no_accelerometer_is_insufficient():
     drive, _ = simulate(Scenario(duration=60.0), seed=1)
     bare = Drive(Inertial(t=np.zeros(0), f=np.zeros((0, 3))), drive.gnss)

@@ -1,4 +1,4 @@
-"""nav_core stands on the standard library and four packages: whatever else it imported, its users would have to install."""
+"""nav_core stands on the standard library and four packages; a fifth would be one more for its users to install."""
 
 from __future__ import annotations
 

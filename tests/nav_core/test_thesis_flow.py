@@ -177,10 +177,23 @@ def driven(route, duration, seed):
     return simulate(Scenario(route=route, duration=duration, accel_rate=50.0, **quiet), seed=seed)
 
 
-def test_a_level_town_ends_ready():
+def test_a_passed_test_is_not_enough_while_the_filter_doubts():
     drive, truth = driven("urban", 300.0, 1)
+    run, estimate = run_thesis(drive), estimate_thesis(drive)
+    assert run.flow.finished is not None
+    assert estimate.self_test.passed
+    assert np.degrees(estimate.sigma.max()) > 5.0
+    assert estimate.status == "settling"
+    assert estimate.progress < 1.0
+    assert [reason.code for reason in estimate.reasons] == ["unsure"]
+    assert np.degrees(angle_between(estimate.R_va, truth.mountings[0][1])) < 8.0
+
+
+def test_a_level_town_ends_ready():
+    drive, truth = driven("urban", 900.0, 3)
     estimate = estimate_thesis(drive)
     assert estimate.status == "ready"
+    assert np.degrees(estimate.sigma.max()) < 5.0
     assert estimate.method == "mekf"
     assert estimate.stable
     assert estimate.reliable

@@ -210,6 +210,26 @@ def test_the_api_is_described_without_another_host(client):
     assert "https://" not in page.text
 
 
+def test_the_api_describes_its_problems(client):
+    paths = client.get("/openapi.json").json()["paths"]
+    upload = paths["/api/v1/batches"]["post"]["responses"]
+    assert set(upload) >= {"202", "401", "403", "409", "413", "415", "422", "429"}
+    assert "409" in paths["/api/v1/devices"]["post"]["responses"]
+    for path, operations in paths.items():
+        for operation in operations.values():
+            problems = {status: found for status, found in operation["responses"].items() if int(status) >= 400}
+            assert set(problems) >= {"401", "403", "404", "422"}, path
+            for found in problems.values():
+                assert list(found["content"]) == ["application/problem+json"], path
+
+
+def test_head_asks_the_same_as_get(client):
+    for path in ("/healthz", "/readyz"):
+        answer = client.head(path)
+        assert (answer.status_code, answer.content) == (200, b"")
+        assert answer.headers["content-length"] == client.get(path).headers["content-length"]
+
+
 def test_token_buckets():
     buckets = TokenBuckets(60)
     assert [buckets.take("a", 0.0) for _ in range(60)] == [0.0] * 60

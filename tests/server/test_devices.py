@@ -79,6 +79,20 @@ def test_an_idempotency_key_gives_the_same_box_without_its_token(admin):
     assert len({answer.json()["id"] for answer in answers}) == 1
 
 
+@pytest.mark.both_databases
+def test_an_idempotency_key_does_not_serve_for_another_box(admin, vehicle):
+    headers = {"Idempotency-Key": "order 17"}
+    first = admin.post("/api/v1/devices", json={"name": "a", "vehicle_id": vehicle}, headers=headers).json()
+    refused = admin.post("/api/v1/devices", json={"name": "b"}, headers=headers)
+    assert (refused.status_code, refused.json()["code"]) == (409, "idempotency_key_reused")
+    assert refused.json()["device_id"] == first["id"]
+    assert len(admin.get("/api/v1/devices").json()["items"]) == 1
+    # the box may have been put into another vehicle since
+    admin.put(f"/api/v1/devices/{first['id']}/vehicle", json={"vehicle_id": None})
+    again = admin.post("/api/v1/devices", json={"name": "a", "vehicle_id": vehicle}, headers=headers)
+    assert (again.status_code, again.json()["id"]) == (200, first["id"])
+
+
 @pytest.mark.parametrize(
     "body",
     [{}, {"name": ""}, {"name": "  "}, {"name": "a" * 201}, {"name": "a", "colour": "red"}, {"name": 1}, [], "a"],

@@ -18,6 +18,7 @@ from server.models import (
     Batch,
     BatchDigest,
     Boot,
+    Change,
     Device,
     DeviceState,
     Installation,
@@ -455,6 +456,52 @@ def test_estimates_come_at_a_cadence_and_the_rest_when_the_box_is_silent(world, 
     world.bring_up()
     assert not world.one(Trip).under_way
     assert world.one(DeviceState).review_at is None
+
+
+@pytest.mark.parametrize("late_s", [239.0, 240.0])
+def test_a_backlog_is_under_way_only_as_long_as_its_newest_data_are_young(world, clock, late_s):
+    end = dt.datetime.fromtimestamp(UTC0 + 119.95, dt.UTC)
+    clock.now = end + dt.timedelta(seconds=late_s)
+    put_all(world, cut(drive_of(Leg(120, 10.0))))
+    world.bring_up()
+    assert world.one(Trip).under_way == (late_s < 240.0)
+    clock.now = end + dt.timedelta(seconds=240.0)
+    world.bring_up()
+    assert not world.one(Trip).under_way
+    world.settle()
+    assert world.one(DeviceState).review_at is None
+    assert [change.data["trip_id"] for change in world.rows(Change) if change.kind == "trip"] == (
+        [world.one(Trip).id] * (2 if late_s < 240.0 else 1)
+    )
+
+
+def test_a_trip_goes_on_after_a_backlog_that_had_ended_it(world, clock):
+    batches = cut(drive_of(Leg(120, 10.0), Leg(60, 12.0)))
+    clock.now = dt.datetime.fromtimestamp(UTC0 + 500.0, dt.UTC)
+    put_all(world, batches[:12])
+    world.bring_up()
+    ended = world.one(Trip)
+    assert not ended.under_way
+    clock.now = dt.datetime.fromtimestamp(UTC0 + 190.0, dt.UTC)
+    put_all(world, batches, order=range(12, 18))
+    world.bring_up()
+    going_on = world.one(Trip)
+    assert (going_on.id, going_on.under_way) == (ended.id, True)
+    assert going_on.distance_m > ended.distance_m
+
+
+@pytest.mark.parametrize("fixes", [True, False])
+def test_a_vehicle_that_stands_is_not_under_way_although_its_box_goes_on_sending(world, clock, fixes):
+    for k, batch in enumerate(cut(drive_of(Leg(60, 10.0), Leg(260, 0.0)))):
+        force = {name: batch.values[name][np.isfinite(batch.values["fx"])] for name in ("t", "fx", "fy", "fz")}
+        world.put(batch if fixes or k < 6 else Columns(force), k)
+        clock.now = dt.datetime.fromtimestamp(UTC0 + 10.0 * (k + 1), dt.UTC)
+        world.bring_up()
+        if k == 28:
+            assert world.one(Trip).under_way
+    trip = world.one(Trip)
+    assert not trip.under_way
+    assert trip.t_last_s == pytest.approx(60.0, abs=1.0)
 
 
 def test_bursts_are_marked_and_kept(world):

@@ -150,6 +150,16 @@ def process(settings):
     process.communicate()
 
 
+@pytest.mark.parametrize("broker", [None, "amqp://guest:guest@127.0.0.1:1"])
+def test_a_worker_refuses_a_database_that_is_not_migrated(tmp_path, broker):
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("SCATOLA_")}
+    environment |= {"SCATOLA_DATA_DIR": str(tmp_path)} | ({} if broker is None else {"SCATOLA_BROKER_URL": broker})
+    done = subprocess.run(scatola("worker"), env=environment, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 1
+    (line,) = done.stderr.splitlines()
+    assert "scatola migrate" in line
+
+
 def test_a_real_process_works_and_stops_on_sigterm(world, batches, process):
     world.put(batches[0], 0)
     until(lambda: world.unprocessed() == 0)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import sqlalchemy as sa
 
-from server.models import Device, Installation, Organisation, Vehicle
+from server.models import Device, DeviceState, Installation, Organisation, Trip, Vehicle
 from server.pages import queries
 from server.pages.templating import duration, moment, number
 from server.pages.words import angle_to_reference, largest_sigma, standing
@@ -130,6 +130,63 @@ def test_silence_and_moves_need_attention(fleet, database, clock):
     assert attention()["Moved"] == 0
 
 
+@pytest.mark.parametrize(
+    ("fix_age_s", "heard_age_s", "shown"), [(119, 119, True), (120, 0, False), (0, 120, False), (9000, 9000, False)]
+)
+def test_a_speed_is_shown_only_while_it_is_one_of_now(fleet, admin, database, clock, fix_age_s, heard_age_s, shown):
+    with database.transaction() as session:
+        device = session.scalars(sa.select(Device).where(Device.name == "SC-1")).one()
+        device.last_seen_at = clock() - dt.timedelta(seconds=heard_age_s)
+        fix_at = clock() - dt.timedelta(seconds=fix_age_s)
+        session.add(DeviceState(device_id=device.id, updated_at=clock(), position_at=fix_at, speed_mps=20.0))
+    with database.reading() as session:
+        box = next(box for box in queries.fleet(session, fleet.id, now=clock()).boxes if box.device.name == "SC-1")
+    assert box.speed_mps == (20.0 if shown else None)
+    page = admin.get("/").text
+    assert ('<span class="num">72</span>' in page) == shown
+    assert ('title="72 km/h at the last fix"' in page) == (not shown)
+
+
+def test_kilometres_are_those_of_the_vehicle_that_heads_the_row(fleet, database, clock):
+    def add_trip(device, vehicle_id, metres):
+        trip = {"organisation_id": fleet.id, "boot": "b", "t_first_s": 0.0, "t_last_s": 1.0, "under_way": False}
+        trip |= {"began_at": clock(), "ended_at": clock(), "position_distance_m": 0.0, "moving_s": 0.0}
+        trip |= {"max_speed_mps": 0.0, "algorithm": "test/1", "input_sha256": "0" * 64}
+        session.add(Trip(device_id=device.id, vehicle_id=vehicle_id, distance_m=metres, **trip))
+
+    def shown() -> dict[str, float]:
+        with database.reading() as session:
+            return {box.device.name: box.distance_m for box in queries.fleet(session, fleet.id, now=clock()).boxes}
+
+    with database.transaction() as session:
+        first, second = session.scalars(sa.select(Device).order_by(Device.name)).all()
+        old, new = first.vehicle_id, second.vehicle_id
+        add_trip(first, old, 1000.0)
+        add_trip(second, new, 200.0)
+        add_trip(second, None, 30.0)
+    assert shown() == {"SC-0": 1000.0, "SC-1": 200.0}
+    with database.transaction() as session:  # swapped, and driven on
+        session.get_one(Device, first.id).vehicle_id = new
+        session.get_one(Device, second.id).vehicle_id = None
+        add_trip(first, new, 4.0)
+    assert shown() == {"SC-0": 204.0, "SC-1": 230.0}
+    with database.transaction() as session:  # two boxes in one vehicle drive the same way
+        session.get_one(Device, second.id).vehicle_id = new
+    assert shown() == {"SC-0": 4.0, "SC-1": 200.0}
+    with database.transaction() as session:  # a box that broke leaves its kilometres with the vehicle
+        session.get_one(Device, second.id).revoked_at = clock()
+    assert shown() == {"SC-0": 204.0}
+
+
+def test_a_vehicle_without_a_trip_tells_the_map_where_it_stands(fleet, admin, database, clock):
+    del fleet
+    with database.transaction() as session:
+        device = session.scalars(sa.select(Device).where(Device.name == "SC-1")).one()
+        state = DeviceState(device_id=device.id, updated_at=clock(), position_at=clock(), lat_deg=45.5, lon_deg=-7.25)
+        session.add(state)
+    assert 'data-lat="45.5" data-lon="-7.25"' in admin.get(f"/vehicles/{device.vehicle_id}").text
+
+
 def test_statements_do_not_grow_with_the_fleet(fleet, database, clock):
     counted = []
     sa.event.listen(database.engine, "before_cursor_execute", lambda *_: counted.append(1))
@@ -155,12 +212,13 @@ def test_statements_do_not_grow_with_the_fleet(fleet, database, clock):
                     vehicle_id=vehicle.id,
                 )
             )
-    assert statements() == before <= 3
+    assert statements() == before <= 4  # with the one that begins
 
 
 def test_another_organisations_vehicle_is_not_found(fleet, admin, database, clock):
     with database.transaction() as session:
-        other = Organisation(name="other", created_at=clock())
+        # Later than the default organisation, which is the first.
+        other = Organisation(name="other", created_at=clock() + dt.timedelta(days=1))
         session.add(other)
         session.flush()
         foreign = Vehicle(organisation_id=other.id, name="Foreign", created_at=clock())

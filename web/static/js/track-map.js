@@ -1,4 +1,5 @@
-// <track-map last="id of the part that names the last trip" tiles="">: where the last trip went.
+// <track-map last="id of the part that names the last trip and position" tiles="">: where the last
+// trip went, or where the vehicle stands before the first.
 
 import { GeoJSONSource } from "../vendor/maplibre-gl/maplibre-gl.mjs";
 import { collection, fit, makeMap } from "./basemap.js";
@@ -10,6 +11,7 @@ import { whenSeen } from "./seen.js";
 class TrackMap extends HTMLElement {
   /** @type {Map | undefined} */ #map;
   #track = collection([]);
+  /** Where the vehicle stands, as long as there is no trip. @type {[number, number] | undefined} */ #place;
   /** What is drawn: the trip and how far it had got. */
   #drawn = "";
   /** The trip that the view was fitted to; a reader who moved the map since is left alone. */
@@ -39,12 +41,12 @@ class TrackMap extends HTMLElement {
       id: "ends", type: "circle", source: "ends",
       paint: {
         "circle-radius": 6, "circle-stroke-width": 3, "circle-stroke-color": colour("track"),
-        "circle-color": ["case", ["get", "start"], colour("card"), colour("track")],
+        "circle-color": ["case", ["==", ["get", "words"], "start"], colour("card"), colour("track")],
       },
     });
     map.addLayer({
       id: "end-words", type: "symbol", source: "ends",
-      layout: { "text-field": ["case", ["get", "start"], "start", "end"], "text-size": 12, "text-anchor": "top", "text-offset": [0, 0.8], "text-allow-overlap": true },
+      layout: { "text-field": ["get", "words"], "text-size": 12, "text-anchor": "top", "text-offset": [0, 0.8], "text-allow-overlap": true },
       paint: { "text-color": colour("ink"), "text-halo-color": colour("card"), "text-halo-width": 1.5 },
     });
   }
@@ -56,14 +58,34 @@ class TrackMap extends HTMLElement {
   #ends() {
     const points = this.#points();
     const [first] = points, last = points.at(-1);
-    return collection(first && last ? [[first, true], [last, false]].map(([coordinates, start]) => (
-      { type: "Feature", properties: { start }, geometry: { type: "Point", coordinates } })) : []);
+    const ends = first && last ? [[first, "start"], [last, "end"]] : this.#place ? [[this.#place, "last position"]] : [];
+    return collection(ends.map(([coordinates, words]) => (
+      { type: "Feature", properties: { words }, geometry: { type: "Point", coordinates } })));
+  }
+
+  #draw() {
+    for (const [id, data] of /** @type {const} */ ([["track", this.#track], ["ends", this.#ends()]])) {
+      const source = this.#map?.getSource(id);
+      if (source instanceof GeoJSONSource) source.setData(data);
+    }
+  }
+
+  /** @param {string} lat @param {string} lon */
+  #stand(lat, lon) {
+    this.#note("Not yet: no trip to show");
+    const key = `${lat} ${lon}`;
+    if (!this.#map || !lat || key === this.#drawn) return;
+    this.#drawn = key;
+    this.#place = [Number(lon), Number(lat)];
+    this.dataset.place = key;
+    this.#draw();
+    if (this.#fitted !== "place") { this.#fitted = "place"; fit(this.#map, [this.#place], 13); }
   }
 
   #update = async () => {
-    const { track = "", to = "" } = document.getElementById(this.getAttribute("last") ?? "")?.dataset ?? {};
+    const { track = "", to = "", lat = "", lon = "" } = document.getElementById(this.getAttribute("last") ?? "")?.dataset ?? {};
     const key = `${track} ${to}`;
-    if (!track) { this.#note("Not yet: no trip to show"); return; }
+    if (!track) { this.#stand(lat, lon); return; }
     if (key === this.#drawn) return;
     this.#drawn = key;
     const response = await fetch(track);
@@ -71,10 +93,7 @@ class TrackMap extends HTMLElement {
     const answer = /** @type {GeoJSON.FeatureCollection | GeoJSON.Feature} */ (await response.json());
     this.#track = answer.type === "Feature" ? collection([answer]) : answer;
     this.#note("");
-    for (const [id, data] of /** @type {const} */ ([["track", this.#track], ["ends", this.#ends()]])) {
-      const source = this.#map?.getSource(id);
-      if (source instanceof GeoJSONSource) source.setData(data);
-    }
+    this.#draw();
     const points = this.#points();
     this.dataset.points = String(points.length);
     if (this.#map && this.#fitted !== track && points.length > 0) { this.#fitted = track; fit(this.#map, points, 16); }

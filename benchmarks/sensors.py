@@ -1,0 +1,56 @@
+"""What the Allan deviation and the calibrations cost, and allantools on the same data."""
+
+from __future__ import annotations
+
+import time
+import warnings
+from collections.abc import Callable
+
+import numpy as np
+
+from nav_core.sensors import (
+    MPU6050_GYRO,
+    allan_deviation,
+    calibrate_positions,
+    eighteen_directions,
+    identify,
+    simulate_noise,
+)
+
+RATE = 100.0
+
+
+def fastest(function: Callable[[], object], *, repeat: int = 5) -> float:
+    """Shortest of a few runs, s; one more before them compiles."""
+    function()
+    durations: list[float] = []
+    for _ in range(repeat):
+        began = time.perf_counter()
+        function()
+        durations.append(time.perf_counter() - began)
+    return min(durations)
+
+
+def rows() -> list[tuple[str, float, str]]:
+    """Name, value, unit."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        import allantools
+    rng = np.random.default_rng(1)
+    x = simulate_noise(MPU6050_GYRO[0], 1_000_000, RATE, rng)
+    taus = allan_deviation(x, RATE).tau
+    poses = 9.81 * np.vstack((eighteen_directions(), eighteen_directions())) + 0.01 * rng.standard_normal((36, 3))
+    ours = fastest(lambda: allan_deviation(x, RATE))
+    theirs = fastest(lambda: allantools.oadev(x, rate=RATE, data_type="freq", taus=taus), repeat=2)
+    return [
+        (f"Allan deviation of 1e6 samples, {taus.size} cluster times", ours, "s"),
+        ("the same by allantools", theirs, "s"),
+        ("noise coefficients with intervals of 1e6 samples", fastest(lambda: identify(x, RATE)), "s"),
+        ("simulated noise, 1e6 samples", fastest(lambda: simulate_noise(MPU6050_GYRO[0], 1_000_000, RATE, rng)), "s"),
+        ("nine parameters from 36 poses", 1e3 * fastest(lambda: calibrate_positions(poses, 9.81)), "ms"),
+    ]
+
+
+if __name__ == "__main__":
+    for name, value, unit in rows():
+        print(f"{name:<60}{value:>12.4g} {unit}")

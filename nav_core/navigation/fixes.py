@@ -1,0 +1,117 @@
+"""Which fixes to believe, how far, and where they belong in time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from nav_core.errors import RangeError
+from nav_core.records import Gnss
+from nav_core.timebase import stale
+from nav_core.typing import Flags, Floats
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Receiver:
+    """What to expect of a receiver; the defaults are those of an ordinary one with open sky.
+
+    Attributes
+    ----------
+    position, height : float
+        1 sigma of each horizontal axis and of height at the best geometry, m.
+    speed, across : float
+        1 sigma of speed and, across the track, of course times speed, m/s.
+    correlation : float
+        Time over which the errors of neighbouring fixes are alike, s.
+    velocity_share : float
+        Share of the variance of speed and course that counts as correlated; of position it is all.
+    max_hdop : float
+        Fixes beyond it are left out.
+    typical_hdop : float
+        At which the sigmas above hold; beyond, they grow in proportion.
+    min_sats : float
+        Fixes with fewer satellites are left out.
+    course_floor : float
+        Courses at lower speeds are left out, m/s.
+    """
+
+    position: float = 2.0
+    height: float = 3.0
+    speed: float = 0.08
+    across: float = 0.08
+    correlation: float = 4.0
+    velocity_share: float = 0.25
+    max_hdop: float = 6.0
+    typical_hdop: float = 1.0
+    min_sats: float = 4.0
+    course_floor: float = 2.0
+
+    def __post_init__(self) -> None:
+        for name in ("position", "height", "speed", "across", "correlation", "typical_hdop"):
+            if not getattr(self, name) > 0.0:
+                raise RangeError(name, getattr(self, name), "> 0")
+        if not 0.0 <= self.velocity_share <= 1.0:
+            raise RangeError("velocity_share", self.velocity_share, "0..1")
+
+
+def believable(gnss: Gnss, receiver: Receiver) -> Flags:
+    """Fixes that pass the gates of fix, repetition, geometry and satellites, shape (n,)."""
+    good = gnss.fix & np.isfinite(gnss.lat) & np.isfinite(gnss.lon) & ~stale(gnss)
+    if gnss.hdop is not None:
+        good &= ~(gnss.hdop > receiver.max_hdop)
+    if gnss.sats is not None:
+        good &= ~(gnss.sats < receiver.min_sats)
+    return good
+
+
+class Reports(NamedTuple):
+    """Believable fixes at the moments they describe.
+
+    Attributes
+    ----------
+    t : ndarray, shape (n,)
+        s; `course_t` those of the courses.
+    z : ndarray, shape (n, 5)
+        Latitude, longitude (rad), height (m), speed (m/s), course (rad); NaN where not measured or not to be used.
+    noise : ndarray, shape (n, 5, 2)
+        Variances: of one fix, and as a filter must take it that knows nothing of the correlation.
+    """
+
+    t: Floats
+    course_t: Floats
+    z: Floats
+    noise: Floats
+
+
+def reports(gnss: Gnss, receiver: Receiver, *, speed_lag: float = 0.0, course_lag: float = 0.0) -> Reports:
+    """Believable fixes with their noise, moved back by the receiver's lags.
+
+    Parameters
+    ----------
+    gnss : Gnss
+    receiver : Receiver
+    speed_lag, course_lag : float
+        How much older than its stamp a fix is, s; position and height share the speed's.
+
+    Returns
+    -------
+    Reports
+
+    Notes
+    -----
+    Noise with variance s² and correlation time T has the same effect over long times as white noise of variance
+    ``s² 2 T / dt`` at fixes `dt` apart (the density of a Gauss-Markov process at zero frequency, 000 eq. 3.9.6).
+    """
+    good = believable(gnss, receiver)
+    t = gnss.t[good]
+    z = np.stack([column[good] for column in (gnss.lat, gnss.lon, gnss.alt, gnss.speed, gnss.course)], axis=1)
+    z[~(z[:, 3] >= receiver.course_floor), 4] = np.nan
+    sigma = np.array([receiver.position, receiver.position, receiver.height, receiver.speed, receiver.across])
+    hdop = np.ones(t.size) if gnss.hdop is None else np.nan_to_num(gnss.hdop[good], nan=receiver.typical_hdop)
+    alone = (np.maximum(hdop / receiver.typical_hdop, 1.0)[:, None] * sigma) ** 2
+    period = float(np.median(np.diff(t))) if t.size > 1 else np.inf
+    common = np.array([1.0, 1.0, 1.0, receiver.velocity_share, receiver.velocity_share])
+    grown = 1.0 - common + common * max(2.0 * receiver.correlation / period, 1.0)
+    return Reports(t - speed_lag, t - course_lag, z, np.stack((alone, alone * grown), axis=2))

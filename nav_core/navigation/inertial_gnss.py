@@ -1,0 +1,285 @@
+"""Inertial navigation corrected by GPS: 15 states, closed loop, with the constraints of a wheeled vehicle, smoothed.
+
+Beyond 000 §7.7.2, which takes the attitude as known: here position, velocity, attitude and the biases of accelerometer
+and gyro are estimated together, so that a bias learnt while GPS lasts carries through an outage (Groves 2013 ch. 14).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from nav_core import earth
+from nav_core.errors import NavigationError, RangeError, TooLittleDataError
+from nav_core.kalman import gate
+from nav_core.kalman.kernels import smooth_backwards
+from nav_core.navigation import kernels
+from nav_core.navigation.epochs import Epochs, epochs_of
+from nav_core.navigation.fixes import Receiver, Reports, reports
+from nav_core.navigation.kernels import Weights
+from nav_core.navigation.solution import Solution
+from nav_core.records import Drive
+from nav_core.rotation import euler_to_matrix, rotvec_to_matrix
+from nav_core.strapdown.increments import Increments, from_rates
+from nav_core.typing import Floats, trailing
+
+
+class NoGyroError(NavigationError):
+    """The recording has no angular rate, without which attitude cannot be carried on."""
+
+    def __init__(self, samples: int) -> None:
+        self.samples = samples
+        super().__init__(
+            f"none of the {samples} inertial samples has an angular rate; position_velocity does without a gyro"
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Vehicle:
+    """What is known of sensors and vehicle beforehand; the defaults are a consumer-grade box in a car.
+
+    Attributes
+    ----------
+    force_noise, rate_noise : float
+        White noise, vibration included, m/s²/√Hz and rad/s/√Hz.
+    accel_bias, gyro_bias : float
+        1 sigma of the biases at the start, each axis, m/s² and rad/s.
+    accel_walk, gyro_walk : float
+        How they wander, m/s²/√s and rad/s/√s.
+    tilt : float
+        1 sigma of roll and pitch of a driving vehicle, rad.
+    sideways, downwards : float
+        1 sigma of the velocity across and normal to the vehicle at the slip-free point, m/s.
+    arm : tuple of float
+        Slip-free point (about the middle of the rear axle) seen from the box, V axes, m.
+    arm_sigma : float
+        1 sigma of `arm`, m.
+    mount_sigma : float
+        1 sigma of the mounting, rad.
+    """
+
+    force_noise: float = 0.015
+    rate_noise: float = 2e-4
+    accel_bias: float = 0.1
+    gyro_bias: float = np.radians(1.0)
+    accel_walk: float = 1e-4
+    gyro_walk: float = 1e-5
+    tilt: float = np.radians(3.0)
+    sideways: float = 0.05
+    downwards: float = 0.1
+    arm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    arm_sigma: float = 0.5
+    mount_sigma: float = np.radians(0.5)
+
+    def __post_init__(self) -> None:
+        for name in ("force_noise", "rate_noise", "accel_bias", "gyro_bias", "tilt", "sideways", "downwards"):
+            if not getattr(self, name) > 0.0:
+                raise RangeError(name, getattr(self, name), "> 0")
+
+    def weights(self) -> Weights:
+        """For the kernel, with the times over which slip (1 s), mounting (30 s) and rest (1 s) repeat themselves."""
+        epoch = 0.1
+        return Weights(
+            accel_walk=self.accel_walk**2,
+            gyro_walk=self.gyro_walk**2,
+            sideways=self.sideways,
+            downwards=self.downwards,
+            slip_repeat=2.0 * 1.0 / epoch,
+            arm_sigma=self.arm_sigma,
+            mount=self.mount_sigma,
+            mount_repeat=2.0 * 30.0 / epoch,
+            rest=0.05,
+            rest_repeat=2.0 * 1.0 / epoch,
+            rest_rate=5e-4,
+            gate=gate(1, 0.9995),
+            relent=8.0,
+        )
+
+
+class Start(NamedTuple):
+    """Where the filter begins.
+
+    Attributes
+    ----------
+    sample : int
+        Of the inertial record.
+    place, v : ndarray, shape (3,)
+        Latitude, longitude (rad), height (m); north, east, down, m/s.
+    C : ndarray, shape (3, 3)
+        Attitude of the vehicle, level on its course.
+    P : ndarray, shape (15, 15)
+    """
+
+    sample: int
+    place: Floats
+    v: Floats
+    C: Floats
+    P: Floats
+
+
+class Record(NamedTuple):
+    """Everything the filter reads, in V axes, from the start on."""
+
+    t: Floats
+    increments: Increments
+    epochs: Epochs
+    start: Start
+    arm: Floats
+    weights: Weights
+    fixes: int
+
+
+START_SPEED = 3.0
+"""The course of the first fix at this speed, m/s, says where the vehicle points."""
+
+
+def navigate(
+    drive: Drive,
+    R_va: Floats,
+    *,
+    receiver: Receiver | None = None,
+    vehicle: Vehicle | None = None,
+    speed_lag: float = 0.0,
+    course_lag: float = 0.0,
+    smoothed: bool = True,
+) -> Solution:
+    """Track of a drive from GPS, accelerometer and gyro.
+
+    Parameters
+    ----------
+    drive : Drive
+        With angular rates; gaps of the record are bridged with large uncertainty.
+    R_va : ndarray, shape (3, 3)
+        Mounting.
+    receiver : Receiver, optional
+        Ordinary by default.
+    vehicle : Vehicle, optional
+    speed_lag, course_lag : float
+        Of the receiver, s (`MountingEstimate.speed_lag`, `course_lag`).
+    smoothed : bool
+        Let later measurements correct earlier moments (RTS).  Without, each moment knows only its past.
+
+    Returns
+    -------
+    Solution
+        Of the box, at 10 Hz and at the moments of fixes, from the first moving fix on.
+
+    Raises
+    ------
+    NoGyroError
+        Without angular rates.
+    TooLittleDataError
+        Without a moving fix, or with less than a second of samples after it.
+    ShapeError
+
+    Notes
+    -----
+    Mechanisation in T (`nav_core.strapdown`, 000 eqs. 2.5.19-2.5.23), error states and their transition
+    as in Groves 2013 §14.2.4, non-holonomic and zero-velocity constraints as in §15.4 and §15.3.  Fixes are
+    gated by fix flag, repetition, HDOP and satellites, and by their innovation; they count at the moment they describe.
+    """
+    record = prepare(
+        drive,
+        R_va,
+        receiver=receiver or Receiver(),
+        vehicle=vehicle or Vehicle(),
+        speed_lag=speed_lag,
+        course_lag=course_lag,
+    )
+    start, epochs = record.start, record.epochs
+    places, v, attitudes, bias, P_prior, P, Phi, dx, left_out = kernels.run(
+        record.t,
+        record.increments.rotation,
+        record.increments.velocity,
+        *epochs,
+        record.arm,
+        record.weights,
+        start.place.copy(),
+        start.v.copy(),
+        start.C.copy(),
+        start.P.copy(),
+    )
+    if smoothed:
+        e = np.zeros_like(dx)
+        # Corrections are already in the estimate: seen from it, each prediction stood at minus its correction.
+        smooth_backwards(-dx, P_prior, e, P, Phi[1:])
+        places, v, attitudes, bias = moved(places, v, attitudes, bias, e)
+    # The triad navigated is the box turned by its mounting: what that errs by, the attitude of the vehicle errs by.
+    P[:, range(6, 9), range(6, 9)] += record.weights.mount**2
+    return Solution(
+        "inertial-gnss",
+        smoothed,
+        record.t[epochs.sample],
+        places[:, 0],
+        np.pi - np.mod(np.pi - places[:, 1], 2.0 * np.pi),
+        places[:, 2],
+        v,
+        attitudes,
+        P,
+        bias,
+        epochs.still,
+        record.fixes,
+        int(left_out),
+        drive.remarks,
+    )
+
+
+def prepare(
+    drive: Drive, R_va: Floats, *, receiver: Receiver, vehicle: Vehicle, speed_lag: float, course_lag: float
+) -> Record:
+    """Samples in V axes, their increments, the epochs and the start; raises as `navigate`."""
+    R_va = trailing("R_va", R_va, 3, 3)
+    if drive.inertial.w is None:
+        raise NoGyroError(drive.inertial.t.size)
+    full = np.isfinite(drive.inertial.w).all(axis=1)
+    t, f, w = drive.inertial.t[full], drive.inertial.f[full] @ R_va.T, drive.inertial.w[full] @ R_va.T
+    seen = reports(drive.gnss, receiver, speed_lag=speed_lag, course_lag=course_lag)
+    start = _start(t, seen, vehicle)
+    t, f, w = t[start.sample :], f[start.sample :], w[start.sample :]
+    if t.size < 4 or t[-1] - t[0] < 1.0:
+        raise TooLittleDataError("samples after the first moving fix", int(t.size), 4)
+    epochs = epochs_of(t, f, w, seen, force_noise=vehicle.force_noise, rate_noise=vehicle.rate_noise)
+    fixes = int(np.count_nonzero(np.isfinite(epochs.z[:, 0])))
+    return Record(t, from_rates(t, w, f), epochs, start, np.array(vehicle.arm), vehicle.weights(), fixes)
+
+
+def _start(t: Floats, seen: Reports, vehicle: Vehicle) -> Start:
+    usable = np.isfinite(seen.z).all(axis=1) & (seen.z[:, 3] >= START_SPEED)
+    if t.size:
+        usable &= (seen.t >= t[0]) & (seen.t <= t[-1])
+    if t.size == 0 or not usable.any():
+        raise TooLittleDataError("fixes with course while the vehicle moves", 0, 1)
+    first = int(np.argmax(usable))
+    lat, lon, height, speed, course = seen.z[first]
+    variances = seen.noise[first, :, 0]
+    P = np.zeros((15, 15))
+    P[range(3), range(3)] = variances[:3]
+    P[range(3, 6), range(3, 6)] = 0.5**2
+    P[range(6, 8), range(6, 8)] = vehicle.tilt**2
+    # Besides noise, the box swings about the slip-free point, and the course may lag by more than was said.
+    P[8, 8] = variances[4] / speed**2 + np.radians(3.0) ** 2
+    P[range(9, 12), range(9, 12)] = vehicle.accel_bias**2
+    P[range(12, 15), range(12, 15)] = vehicle.gyro_bias**2
+    return Start(
+        int(np.searchsorted(t, seen.t[first])),
+        np.array([lat, lon, height]),
+        speed * np.array([np.cos(course), np.sin(course), 0.0]),
+        euler_to_matrix(0.0, 0.0, course),
+        P,
+    )
+
+
+def moved(places: Floats, v: Floats, C: Floats, bias: Floats, e: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+    """Put errors `e` (n, 15), truth minus estimate, into a whole track; what `kernels.apply` does at one epoch."""
+    meridian, normal = earth.radii(places[:, 0])
+    shift = np.stack(
+        (
+            e[:, 0] / (meridian + places[:, 2]),
+            e[:, 1] / ((normal + places[:, 2]) * np.cos(places[:, 0])),
+            -e[:, 2],
+        ),
+        axis=1,
+    )
+    return places + shift, v + e[:, 3:6], rotvec_to_matrix(e[:, 6:9]) @ C, bias + e[:, 9:]

@@ -1,0 +1,165 @@
+"""The 15-state filter: kernel against matrices, truth, its own claims, bad fixes, gaps."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from nav_core.errors import RangeError, TooLittleDataError
+from nav_core.kalman import normalised
+from nav_core.navigation import NoGyroError, Receiver, Vehicle, inertial_gnss, kernels, navigate, reference
+from nav_core.records import Inertial
+from tests.nav_core.drives_on_the_globe import errors, world
+
+
+def prepared(seen, receiver=None, vehicle=None):
+    return inertial_gnss.prepare(
+        seen.drive, seen.truth.R_va, receiver=receiver or Receiver(), vehicle=vehicle or Vehicle(), **seen.lags
+    )
+
+
+def run_kernel(record):
+    start = record.start
+    return kernels.run(
+        record.t,
+        record.increments.rotation,
+        record.increments.velocity,
+        *record.epochs,
+        record.arm,
+        record.weights,
+        start.place.copy(),
+        start.v.copy(),
+        start.C.copy(),
+        start.P.copy(),
+    )
+
+
+def test_the_kernel_agrees_with_the_matrices():
+    # With stops, an outage, a jump that the gate strikes and one so long that it is believed in the end.
+    seen = world(5, duration=70.0, outages=((40.0, 46.0),))
+    gnss = seen.drive.gnss
+    jump = ((gnss.t > 30.0) & (gnss.t < 33.0)) | (gnss.t > 52.0)
+    gnss = replace(gnss, lat=gnss.lat + jump * 80.0 / 6.37e6)
+    record = prepared(seen._replace(drive=replace(seen.drive, gnss=gnss)))
+    places, v, C, bias, _, P, _, dx, left_out = run_kernel(record)
+    assert left_out > 30
+    assert record.epochs.still.any()
+    expected = reference.run_reference(record)
+    for name, ours, theirs in zip(
+        ("place", "v", "C", "bias", "P", "dx"), (places, v, C, bias, P, dx), expected, strict=True
+    ):
+        assert ours == pytest.approx(theirs, abs=1e-7 * max(1.0, float(np.abs(theirs).max()))), name
+
+
+def test_perfect_instruments_give_the_drive_back():
+    seen = world(3, faultless=True, duration=100.0)
+    solution = navigate(seen.drive, seen.truth.R_va, **seen.lags)
+    off = errors(solution, seen.globe)
+    inner = slice(50, -10)
+    assert np.abs(off.position[inner]).max() < 0.5
+    assert np.abs(off.velocity[inner]).max() < 0.1
+    assert np.degrees(np.abs(off.attitude[inner])).max() < 0.5
+
+
+@pytest.mark.slow
+def test_errors_fit_their_covariance_over_drives():
+    squares = []
+    for seed in range(12):
+        seen = world(seed, duration=120.0)
+        solution = navigate(seen.drive, seen.truth.R_va, smoothed=False, **seen.lags)
+        off = errors(solution, seen.globe)
+        settled = solution.t > 60.0
+        parts = (off.position[:, :2], off.velocity, off.attitude)
+        where = (slice(0, 2), slice(3, 6), slice(6, 9))
+        squares.append(
+            [normalised(e, solution.P[:, w, w])[settled].mean() / e.shape[1] for e, w in zip(parts, where, strict=True)]
+        )
+    position, velocity, attitude = np.mean(squares, axis=0)
+    print(f"NEES per state: position {position:.2f}, velocity {velocity:.2f}, attitude {attitude:.2f}")
+    # The receiver's noise is coloured and the filter's is not: it claims no more than it has, and not far less.
+    assert 0.6 < position < 1.4
+    assert 0.15 < velocity < 1.2
+    assert 0.05 < attitude < 1.2
+
+
+def test_smoothing_helps_and_claims_less_uncertainty():
+    seen = world(7, duration=100.0, outages=((60.0, 80.0),))
+    forward = navigate(seen.drive, seen.truth.R_va, smoothed=False, **seen.lags)
+    smooth = navigate(seen.drive, seen.truth.R_va, **seen.lags)
+    dark = (forward.t > 60.0) & (forward.t < 79.0)
+    far = [np.hypot(*errors(each, seen.globe).position[dark, :2].T).max() for each in (forward, smooth)]
+    assert far[1] < far[0]
+    assert (smooth.sigma[dark, :2] <= forward.sigma[dark, :2] + 1e-9).all()
+    assert smooth.P[-1] == pytest.approx(forward.P[-1])
+
+
+def test_a_jump_of_the_receiver_is_left_out_and_a_lasting_one_believed():
+    seen = world(6, duration=100.0)
+    gnss = seen.drive.gnss
+    clean = navigate(seen.drive, seen.truth.R_va, smoothed=False, **seen.lags)
+    short = replace(gnss, lon=gnss.lon + ((gnss.t > 50.0) & (gnss.t < 54.0)) * 100.0 / 4.5e6)
+    solution = navigate(replace(seen.drive, gnss=short), seen.truth.R_va, smoothed=False, **seen.lags)
+    assert solution.rejected >= 15
+    assert np.hypot(*errors(solution, seen.globe).position[100:, :2].T).max() < 6.0
+    lasting = replace(gnss, lon=gnss.lon + (gnss.t > 50.0) * 100.0 / 4.5e6)
+    solution = navigate(replace(seen.drive, gnss=lasting), seen.truth.R_va, smoothed=False, **seen.lags)
+    moved = (solution.lon[-1] - clean.lon[-1]) * 4.5e6
+    assert moved == pytest.approx(100.0, abs=10.0)
+
+
+def test_bad_geometry_few_satellites_and_repeats_are_not_believed():
+    seen = world(6, duration=60.0, frozen=((30.0, 33.0),))
+    gnss = seen.drive.gnss
+    hdop = np.where((gnss.t > 40.0) & (gnss.t < 44.0), 20.0, 0.9)
+    sats = np.where((gnss.t > 50.0) & (gnss.t < 54.0), 3.0, 9.0)
+    graded = replace(gnss, hdop=hdop, sats=sats)
+    solution = navigate(replace(seen.drive, gnss=graded), seen.truth.R_va, **seen.lags)
+    plain = navigate(replace(seen.drive, gnss=replace(gnss, utc=gnss.utc)), seen.truth.R_va, **seen.lags)
+    assert plain.fixes - solution.fixes == pytest.approx(32, abs=2)
+
+
+def test_rest_is_seen_and_stops_the_velocity():
+    seen = world(1, duration=180.0)
+    solution = navigate(seen.drive, seen.truth.R_va, smoothed=False, **seen.lags)
+    speed = np.interp(solution.t, seen.truth.t, seen.truth.v)
+    still = solution.still > 0.0
+    assert still.mean() > 0.05
+    assert speed[still].max() < 0.3
+    assert np.abs(solution.velocity[still]).max() < 0.3
+
+
+def test_biases_are_found():
+    seen = world(8, duration=150.0)
+    solution = navigate(seen.drive, seen.truth.R_va, **seen.lags)
+    gyro, accel = seen.truth.R_va @ seen.truth.gyro_bias, seen.truth.R_va @ seen.truth.accel_bias
+    assert np.degrees(solution.bias[-1, 3:] - gyro) == pytest.approx(np.zeros(3), abs=0.02)
+    assert np.abs(solution.bias[-1, :3] - accel).max() < 3.0 * solution.sigma[-1, 9:12].max()
+
+
+def test_a_hole_in_the_record_is_uncertain():
+    seen = world(1, duration=60.0)
+    inertial = seen.drive.inertial
+    keep = (inertial.t < 30.0) | (inertial.t > 33.0)
+    holed = Inertial(t=inertial.t[keep], f=inertial.f[keep], w=inertial.w[keep])
+    solution = navigate(replace(seen.drive, inertial=holed), seen.truth.R_va, smoothed=False, **seen.lags)
+    after = np.searchsorted(solution.t, 33.0)
+    assert solution.sigma[after, 8] > 2.0 * solution.sigma[after - 1, 8]
+    settled = solution.t > 45.0
+    assert np.hypot(*errors(solution, seen.globe).position[settled, :2].T).max() < 8.0
+
+
+def test_what_the_filter_refuses():
+    seen = world(1, duration=20.0)
+    inertial, gnss = seen.drive.inertial, seen.drive.gnss
+    with pytest.raises(NoGyroError):
+        navigate(replace(seen.drive, inertial=Inertial(t=inertial.t, f=inertial.f)), seen.truth.R_va)
+    with pytest.raises(TooLittleDataError):
+        navigate(replace(seen.drive, gnss=replace(gnss, fix=np.zeros(gnss.t.size, dtype=bool))), seen.truth.R_va)
+    with pytest.raises(RangeError):
+        Vehicle(force_noise=0.0)
+    with pytest.raises(RangeError):
+        Receiver(position=0.0)
+    with pytest.raises(RangeError):
+        Receiver(velocity_share=2.0)
