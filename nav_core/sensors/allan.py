@@ -108,8 +108,8 @@ def allan_deviation(x: Floats, rate: float, *, factors: Integers | None = None) 
 
 @kernel
 def _square_sum(theta: Floats, m: int) -> float:
-    # Many sums side by side over slices: only so does the compiler use vector registers, five times as fast.
-    width = 256
+    # Slice by slice the compiler uses vector registers and nothing leaves the cache: five times as fast as one loop.
+    width = 1024
     sums = np.zeros(width)
     count = theta.size - 2 * m
     whole = count - count % width
@@ -117,13 +117,11 @@ def _square_sum(theta: Floats, m: int) -> float:
         left = theta[start : start + width]
         middle = theta[start + m : start + m + width]
         right = theta[start + 2 * m : start + 2 * m + width]
-        for j in range(width):
-            d = right[j] - 2.0 * middle[j] + left[j]
-            sums[j] += d * d
+        sums += (right - 2.0 * middle + left) ** 2
+    total = sums.sum()
     for i in range(whole, count):
-        d = theta[i + 2 * m] - 2.0 * theta[i + m] + theta[i]
-        sums[0] += d * d
-    return sums.sum()
+        total += (theta[i + 2 * m] - 2.0 * theta[i + m] + theta[i]) ** 2
+    return total
 
 
 def square_sum_reference(theta: Floats, m: int) -> float:
