@@ -27,8 +27,21 @@ def best(function: Callable[[], object], *, repeat: int = 5) -> float:
 
 
 def main() -> None:
-    """Measure and print."""
+    """Measure and print, area by area; each area's script also runs alone."""
     set_numba_cache_dir()
+    import attitude
+    import navigation
+    import sensors
+    import strapdown
+
+    print(f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}")
+    for rows in (service, strapdown.rows, sensors.rows, attitude.rows, navigation.rows):
+        for name, value, unit in rows():
+            print(f"{name:<60}{value:>12.4g} {unit}")
+
+
+def service() -> list[tuple[str, float, str]]:
+    """Mounting, conditioning and formats."""
     from nav_core.mounting import estimate_mounting, whole_drive
     from nav_core.mounting.thesis import estimate_thesis
     from nav_core.signal import decimate
@@ -44,7 +57,7 @@ def main() -> None:
     with TemporaryDirectory() as folder:
         path = Path(folder) / "hour.parquet"
         write_drive_file(path, from_drive(hour))
-        rows = [
+        return [
             ("simulate 300 s at 200 Hz", best(lambda: simulate(Scenario(duration=300.0), seed=2)), "s"),
             ("decimate 1 h of 200 Hz to 10 Hz", best(lambda: decimate(hour.inertial)), "s"),
             ("whole-drive estimate, 1 h of ticks", best(lambda: whole_drive.estimate(ticks, hour.gnss), repeat=3), "s"),
@@ -56,9 +69,6 @@ def main() -> None:
             ("thesis filter, 1 h at 4 Hz, per fix", 1e6 * best(lambda: estimate_thesis(hour)) / steps, "µs"),
             ("Parquet batch of 60 s at 200 Hz to a drive", best(lambda: to_drive(Columns.from_parquet(packed))), "s"),
         ]
-    print(f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}")
-    for name, value, unit in rows:
-        print(f"{name:<48}{value:>12.4g} {unit}")
 
 
 if __name__ == "__main__":
