@@ -22,11 +22,12 @@ from nav_core.typing import Floats, Integers
 
 TERMS = NoiseCoefficients._fields
 
-_RATIO = 64
-"""Cluster lengths further apart than this share so little that their values are taken as uncorrelated."""
+UNLIKELY = 1e-4
+"""Probability below which a curve is not that of the model.  Values of few long clusters are far from Gaussian, so
+this is far from the usual 5 %."""
 
 _GRAIN = 16
-"""Lags between which the covariance function is summed, per shorter cluster."""
+"""Lags to the shorter cluster at which the covariance function is taken about its bends."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +45,10 @@ class NoiseFit:
         Four cluster times an octave.
     freedom : ndarray, shape (k,)
         Equivalent degrees of freedom of the curve's values, for noise of these coefficients.
+    likelihood : float
+        Probability of a curve at least this far from the fitted one, 0..1.  Below `UNLIKELY` the noise is not of these
+        terms, as behind a low-pass filter that reaches into the sampled band, or the sensor was disturbed; the
+        intervals are then widened by the root of the misfit per redundant octave.
     """
 
     coefficients: NoiseCoefficients
@@ -52,13 +57,14 @@ class NoiseFit:
     level: float
     curve: AllanDeviation
     freedom: Floats
+    likelihood: float
 
     def band(self) -> tuple[Floats, Floats]:
         """Interval of the curve at each cluster time, two arrays of shape (k,)."""
         return confidence(self.curve, self.freedom, self.level)
 
 
-def identify(x: Floats, rate: float, *, terms: str = "NBK", level: float = 0.95) -> NoiseFit:
+def identify(x: Floats, rate: float, *, terms: str = "NBK", level: float = 0.95, shortest: float = 0.0) -> NoiseFit:
     """Noise coefficients of a sensor at rest.
 
     Parameters
@@ -71,6 +77,8 @@ def identify(x: Floats, rate: float, *, terms: str = "NBK", level: float = 0.95)
         Which of N, B, K, Q are fitted; the others are taken to be zero (002 section 5.2.1 leaves out Q).
     level : float
         Confidence of the intervals.
+    shortest : float
+        Cluster time from which the fit starts, s: beyond what a low-pass filter in the sensor smooths.
 
     Returns
     -------
@@ -81,7 +89,7 @@ def identify(x: Floats, rate: float, *, terms: str = "NBK", level: float = 0.95)
     RangeError
         Unknown terms, or a level outside 0..1.
     TooLittleDataError
-        Fewer than 256 samples.
+        Fewer than 256 samples, or too few octaves beyond `shortest`.
     ShapeError, NotFiniteError
         As `allan_deviation`.
 
@@ -101,15 +109,22 @@ def identify(x: Floats, rate: float, *, terms: str = "NBK", level: float = 0.95)
         raise TooLittleDataError("x", curve.samples, 256)
     chosen = "".join(name for name in TERMS if name in terms)
     factor = cluster_factors(curve.samples, per_octave=1, pairs=4)
+    factor = factor[factor >= shortest * rate * (1.0 - 1e-9)]
+    if factor.size <= len(chosen):
+        raise TooLittleDataError("octaves of cluster time", int(factor.size), len(chosen) + 1)
     variance = curve.sigma[np.searchsorted(curve.factor, factor)] ** 2
-    squares, spread = _least_squares(factor, curve.samples, variance, chosen)
+    squares, spread, misfit = _least_squares(factor, curve.samples, variance, chosen)
+    likelihood = float(chi2.sf(misfit, factor.size - len(chosen)))
+    if likelihood < UNLIKELY:
+        # The model is not the truth: the misfit, and not the noise alone, says how well the coefficients are known.
+        spread *= np.sqrt(misfit / (factor.size - len(chosen)))
     # From per-sample units, in which the covariance is tabulated, to seconds.
     unit = np.array([{"N": 1.0 / rate, "B": 1.0, "K": rate, "Q": 1.0 / rate**2}[name] for name in chosen])
     low, high = _interval(squares, spread, level)
     known = dict(zip(chosen, np.sqrt(np.stack((squares, low, high)) * unit).T.tolist(), strict=True))
     triples = [known.get(name, (0.0, 0.0, np.inf)) for name in TERMS]
     estimate, lower, upper = (NoiseCoefficients(*values) for values in zip(*triples, strict=True))
-    return NoiseFit(estimate, lower, upper, level, curve, equivalent_freedom(curve, estimate))
+    return NoiseFit(estimate, lower, upper, level, curve, equivalent_freedom(curve, estimate), likelihood)
 
 
 def equivalent_freedom(curve: AllanDeviation, coefficients: NoiseCoefficients) -> Floats:
@@ -172,24 +187,25 @@ def confidence(curve: AllanDeviation, freedom: Floats, level: float = 0.95) -> t
     return low, curve.sigma * np.sqrt(freedom / chi2.ppf(tail, freedom))
 
 
-def _least_squares(factor: Integers, samples: int, variance: Floats, terms: str) -> tuple[Floats, Floats]:
-    """Squares of the coefficients in per-sample units, and their standard deviations."""
+def _least_squares(factor: Integers, samples: int, variance: Floats, terms: str) -> tuple[Floats, Floats, float]:
+    """Squares of the coefficients in per-sample units, their standard deviations, and the weighted misfit."""
     A, table = _design(factor, terms), _covariances(tuple(factor.tolist()), samples, terms)
-    weighted = A / variance[:, None]
-    squares = _nonnegative(weighted, np.ones(variance.size))
+    whitened = np.column_stack((A / variance[:, None], np.ones(variance.size)))
+    squares = _nonnegative(whitened[:, :-1], whitened[:, -1])
     for step in range(50):
         C = np.einsum("a,b,abij->ij", squares, squares, table)
         C[np.diag_indices_from(C)] *= 1.0 + 1e-9
         whitened = np.linalg.solve(np.linalg.cholesky(C), np.column_stack((A, variance)))
-        weighted = whitened[:, :-1]
-        found = _nonnegative(weighted, whitened[:, -1])
-        size = np.linalg.norm(weighted, axis=0)
+        found = _nonnegative(whitened[:, :-1], whitened[:, -1])
+        size = np.linalg.norm(whitened[:, :-1], axis=0)
         settled = bool(np.all(np.abs(found - squares) * size < 1e-3))
         # A term at the edge of zero can come and go for ever; halved steps settle it.
         squares = found if step < 10 else 0.5 * (found + squares)
         if settled:
             break
-    return squares, np.sqrt(np.diag(np.linalg.inv(weighted.T @ weighted)))
+    weighted = whitened[:, :-1]
+    left = whitened[:, -1] - weighted @ squares
+    return squares, np.sqrt(np.diag(np.linalg.inv(weighted.T @ weighted))), float(left @ left)
 
 
 def _nonnegative(A: Floats, y: Floats) -> Floats:
@@ -220,8 +236,7 @@ def _covariances(factor: tuple[int, ...], samples: int, terms: str) -> Floats:
     table = np.zeros((len(terms), len(terms), len(factor), len(factor)))
     for i, short in enumerate(factor):
         for j in range(i, len(factor)):
-            if factor[j] <= _RATIO * short:
-                table[:, :, i, j] = table[:, :, j, i] = _pair(short, factor[j], samples, terms)
+            table[:, :, i, j] = table[:, :, j, i] = _pair(short, factor[j], samples, terms)
     return table
 
 
@@ -232,18 +247,28 @@ def _pair(short: int, long: int, samples: int, terms: str) -> Floats:
     Of Gaussian second differences `u`, `v`: ``cov(mean u², mean v²) = 2 sum_kl cov(u_k, v_l)² / (M_u M_v)``, and the
     covariance of a mixture is the sum of its terms'.  Remembered: the axes of one recording ask for the same.
     """
-    stride = max(1, short // _GRAIN)
-    first = -((2 * short + 4 * long) // stride) * stride
-    lag = np.arange(first, 6 * long + 1, stride)
+    lag = _lags(short, long)
     many, few = samples + 1 - 2 * short, samples + 1 - 2 * long
     overlap = np.maximum(np.minimum(many, few + lag) - np.maximum(lag, 0), 0).astype(np.float64)
     functions = np.stack([_second_difference_covariance(name, lag, short, long) for name in terms])
-    form = 2.0 * stride * (functions * overlap) @ functions.T / (float(many) * few * 4.0 * short**2 * float(long) ** 2)
-    # Quantisation correlates at single lags, which stand for themselves and not for a stride.
+    share = 2.0 / (float(many) * few * 4.0 * short**2 * float(long) ** 2)
+    smooth = share * (functions * overlap * np.gradient(lag.astype(np.float64))) @ functions.T
+    # Quantisation correlates at single lags, which stand for themselves and not for their neighbourhood.
+    single = share * (functions * overlap) @ functions.T
     spiky = np.array([name == "Q" for name in terms])
-    form = np.where(spiky[:, None] | spiky, form / stride, form)
+    form = np.where(spiky[:, None] | spiky, single, smooth)
     form.flags.writeable = False
     return form
+
+
+def _lags(short: int, long: int) -> Integers:
+    """Lags at which the covariance function is taken: finely about its bends, coarsely between and beyond."""
+    stride = max(1, short // _GRAIN)
+    about = stride * np.arange(-8 * _GRAIN, 8 * _GRAIN + 1)
+    bends = np.array([0, long, 2 * long])
+    exact = bends[:, None] - short * np.arange(3)
+    coarse = np.round(np.linspace(-2 * short - 4 * long, 6 * long, 20 * _GRAIN)).astype(np.int64)
+    return np.unique(np.concatenate(((bends[:, None] + about).ravel(), exact.ravel(), coarse)))
 
 
 def _second_difference_covariance(name: str, lag: Integers, short: int, long: int) -> Floats:

@@ -24,6 +24,7 @@ def allan(args: argparse.Namespace) -> int:
     """`scatola allan`."""
     set_numba_cache_dir()
     from nav_core.sensors import identify
+    from nav_core.sensors.identification import UNLIKELY
 
     triads = read_triads(args.file)
     if not triads:
@@ -34,7 +35,14 @@ def allan(args: argparse.Namespace) -> int:
         rate, part = _regular(triad, args.rate, quality)
         for axis, name in enumerate(TRIADS[sensor]):
             progress(f"{name}: {len(part)} samples")
-            fits[name] = (UNITS[sensor], identify(np.ascontiguousarray(part[:, axis]), rate, terms=args.terms.upper()))
+            column = np.ascontiguousarray(part[:, axis])
+            fit = identify(column, rate, terms=args.terms.upper(), shortest=args.shortest)
+            if fit.likelihood < UNLIKELY:
+                quality.append(
+                    f"{name}: the curve is no sum of these terms (probability {fit.likelihood:.1g}): filtered or "
+                    "disturbed samples? --shortest leaves out the cluster times that a filter smooths"
+                )
+            fits[name] = (UNITS[sensor], fit)
     progress("")
     result = {
         "file": str(args.file),
@@ -90,6 +98,7 @@ def _column_json(unit: str, fit: NoiseFit, terms: str) -> dict[str, Any]:
         "sigma_low95": low.tolist(),
         "sigma_high95": high.tolist(),
         "freedom": fit.freedom.tolist(),
+        "likelihood": fit.likelihood,
     }
 
 

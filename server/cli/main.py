@@ -132,6 +132,7 @@ def _add_sensor_commands(add: Add) -> None:
     allan = add("allan", "allan:allan", "Allan deviation and noise coefficients of a recording at rest.")
     allan.add_argument("file", type=Path, metavar="FILE", help="columns t and any of f*, w*, m*; CSV or Parquet")
     allan.add_argument("--rate", type=float, help="samples per second where the stamps do not tell")
+    allan.add_argument("--shortest", type=float, default=0.0, help="s, cluster time from which the terms are fitted")
     allan.add_argument("--terms", default="NBK", help="coefficients to fit, of N, B, K, Q; default: %(default)s")
 
     calibrate = add("calibrate", "calibrate:calibrate", "Calibrate an accelerometer, gyro or magnetometer.")

@@ -271,6 +271,27 @@ def test_the_curve_of_a_fit_carries_its_band():
     assert fit.level == 0.95
 
 
+def test_a_curve_of_other_terms_is_found_out_and_the_filtered_part_left_out():
+    rng = np.random.default_rng(15)
+    white = simulate_noise(NoiseCoefficients(N=1.0), 40_000, 100.0, rng)
+    assert identify(white, 100.0).likelihood > 1e-3
+    smooth = np.convolve(white, np.full(20, 0.05), "valid")  # 0.2 s
+    assert identify(smooth, 100.0).likelihood < 1e-4
+    fit = identify(smooth, 100.0, shortest=2.0)
+    assert fit.likelihood > 1e-3
+    assert fit.low.N < 1.0 < fit.high.N
+    assert fit.high.N < 1.15
+    with pytest.raises(TooLittleDataError):
+        identify(smooth, 100.0, shortest=50.0)
+
+
+def test_a_right_model_is_likely():
+    fits = runs(MPU6050_GYRO[0], 60, rate=2.0, seconds=FOUR_HOURS, seed=16)
+    likelihood = np.array([fit.likelihood for fit in fits])
+    assert np.min(likelihood) > 1e-4
+    assert 0.3 < np.mean(likelihood) < 0.85
+
+
 @pytest.mark.parametrize("terms", ["", "NX"])
 def test_unknown_terms_are_refused(terms):
     with pytest.raises(RangeError):

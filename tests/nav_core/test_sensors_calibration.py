@@ -161,6 +161,10 @@ def test_six_positions():
     found = six_positions(up, down, G)
     np.testing.assert_allclose(found[0], bias, atol=1e-12)
     np.testing.assert_allclose(found[1], scale, atol=1e-12)
+    with pytest.raises(RangeError):
+        six_positions(up, down, 0.0)
+    with pytest.raises(ShapeError):
+        six_positions(up[:2], down, G)
     # 6.2.2 as printed adds the readings, which leaves nothing of the scale.
     assert not np.allclose((up + down - 2.0 * G) / (2.0 * G), scale, atol=0.5)
 

@@ -78,6 +78,7 @@ def test_allan_prints_coefficients_with_intervals(capsys, resting_gyro):
         assert column["N"]["unit"] == "rad/s/√Hz"
         assert column["Q"] == {"value": None, "interval95": None, "unit": "rad/s·s"}
         assert column["rate_hz"] == pytest.approx(100.0)
+        assert column["likelihood"] > 1e-4
         assert len(column["tau_s"]) == len(column["sigma"]) == len(column["sigma_low95"]) == len(column["freedom"])
     assert result["quality"] == []
 
@@ -101,6 +102,27 @@ def test_allan_uses_the_longest_stretch_or_the_rate_it_is_told(capsys, tmp_path)
     assert "--rate" in result["quality"][0]
     told = json.loads(run(capsys, "allan", path, "--json", "--rate", 100)[1].out)
     assert told["columns"]["fx"]["samples"] == 5000
+
+
+def test_allan_remarks_filtered_samples(capsys, tmp_path):
+    rng = np.random.default_rng(9)
+    white = rng.standard_normal((20_020, 3))
+    smooth = np.column_stack([np.convolve(column, np.full(21, 1.0 / 21.0), "valid") for column in white.T])
+    path = write(tmp_path / "smooth.parquet", np.arange(len(smooth)) / 100.0, "w", smooth)
+    assert "--shortest" in json.loads(run(capsys, "allan", path, "--json")[1].out)["quality"][0]
+    result = json.loads(run(capsys, "allan", path, "--shortest", 2, "--json")[1].out)
+    assert result["quality"] == []
+    assert result["columns"]["wx"]["N"]["value"] == pytest.approx(0.1, rel=0.1)
+
+
+def test_progress_is_for_terminals(monkeypatch, capsys):
+    from server.cli.progress import progress
+
+    progress("nothing")
+    assert capsys.readouterr().err == ""
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
+    progress("wx: 100 samples")
+    assert "wx: 100 samples" in capsys.readouterr().err
 
 
 def test_allan_refuses_what_has_no_samples(capsys, tmp_path):
