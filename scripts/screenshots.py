@@ -45,10 +45,13 @@ def take(link: str, out: Path) -> None:
         page.set_default_timeout(120_000)
         page.goto(link)
         page.get_by_role("button").click()
-        page.get_by_role("row", name=SHOWN).get_by_text("moved").wait_for()
+        page.get_by_role("row", name=SHOWN).get_by_text("moved", exact=True).wait_for()
         photograph(page, out / "fleet.png", settle_s=8)
         page.get_by_role("link", name=SHOWN).first.click()
         page.wait_for_load_state()
+        # Maps are drawn when they come into view.
+        page.locator("track-map").scroll_into_view_if_needed()
+        page.wait_for_timeout(8_000)
         photograph(page, out / "vehicle.png", settle_s=40, full_page=True)
         address, state = page.url, context.storage_state()
         page.close()
@@ -69,6 +72,7 @@ def photograph(page: Page, path: Path, *, settle_s: float, full_page: bool = Fal
             notice = frame.locator(".mantine-Notification-closeButton")
             if notice.count():
                 notice.first.click()
+    page.evaluate("window.scrollTo(0, 0)")
     page.screenshot(path=path, full_page=full_page)
 
 
