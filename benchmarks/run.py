@@ -7,23 +7,12 @@ from __future__ import annotations
 
 import os
 import platform
-import time
-from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from timing import best
+
 from server.settings import set_numba_cache_dir
-
-
-def best(function: Callable[[], object], *, repeat: int = 5) -> float:
-    """Shortest of a few runs, s; the first, which may compile, is not counted."""
-    function()
-    durations: list[float] = []
-    for _ in range(repeat):
-        began = time.perf_counter()
-        function()
-        durations.append(time.perf_counter() - began)
-    return min(durations)
 
 
 def main() -> None:

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import time
 import warnings
-from collections.abc import Callable
 
 import numpy as np
+from timing import best
 
 from nav_core.sensors import (
     MPU6050_GYRO,
@@ -20,17 +19,6 @@ from nav_core.sensors import (
 RATE = 100.0
 
 
-def fastest(function: Callable[[], object], *, repeat: int = 5) -> float:
-    """Shortest of a few runs, s; one more before them compiles."""
-    function()
-    durations: list[float] = []
-    for _ in range(repeat):
-        began = time.perf_counter()
-        function()
-        durations.append(time.perf_counter() - began)
-    return min(durations)
-
-
 def rows() -> list[tuple[str, float, str]]:
     """Name, value, unit."""
     with warnings.catch_warnings():
@@ -40,14 +28,14 @@ def rows() -> list[tuple[str, float, str]]:
     x = simulate_noise(MPU6050_GYRO[0], 1_000_000, RATE, rng)
     taus = allan_deviation(x, RATE).tau
     poses = 9.81 * np.vstack((eighteen_directions(), eighteen_directions())) + 0.01 * rng.standard_normal((36, 3))
-    ours = fastest(lambda: allan_deviation(x, RATE))
-    theirs = fastest(lambda: allantools.oadev(x, rate=RATE, data_type="freq", taus=taus), repeat=2)
+    ours = best(lambda: allan_deviation(x, RATE))
+    theirs = best(lambda: allantools.oadev(x, rate=RATE, data_type="freq", taus=taus), repeat=2)
     return [
         (f"Allan deviation of 1e6 samples, {taus.size} cluster times", ours, "s"),
         ("the same by allantools", theirs, "s"),
-        ("noise coefficients with intervals of 1e6 samples", fastest(lambda: identify(x, RATE)), "s"),
-        ("simulated noise, 1e6 samples", fastest(lambda: simulate_noise(MPU6050_GYRO[0], 1_000_000, RATE, rng)), "s"),
-        ("nine parameters from 36 poses", 1e3 * fastest(lambda: calibrate_positions(poses, 9.81)), "ms"),
+        ("noise coefficients with intervals of 1e6 samples", best(lambda: identify(x, RATE)), "s"),
+        ("simulated noise, 1e6 samples", best(lambda: simulate_noise(MPU6050_GYRO[0], 1_000_000, RATE, rng)), "s"),
+        ("nine parameters from 36 poses", 1e3 * best(lambda: calibrate_positions(poses, 9.81)), "ms"),
     ]
 
 

@@ -2,22 +2,11 @@
 
 from __future__ import annotations
 
-import time
 import warnings
 from collections.abc import Callable
 
 import numpy as np
-
-
-def best(function: Callable[[], object], *, repeat: int = 5) -> float:
-    """Shortest of a few runs, s; the first, which may compile, is not counted."""
-    function()
-    durations: list[float] = []
-    for _ in range(repeat):
-        began = time.perf_counter()
-        function()
-        durations.append(time.perf_counter() - began)
-    return min(durations)
+from timing import best
 
 
 def rows() -> list[tuple[str, float, str]]:
