@@ -100,7 +100,7 @@ def cut_out(record: Record, found: tuple[Blow, ...]) -> Record:
     step[1:][~keep[:-1]] = 0.0
     kept = ~_inside(record.fixes.t, found)
     fixes = Fixes(*(column[kept] for column in record.fixes))
-    return Record(record.t[keep], record.f[keep], step[keep], fixes)
+    return Record(record.t[keep], record.f[keep], step[keep], fixes, record.density[keep])
 
 
 def _violent(ticks: Ticks) -> Flags:

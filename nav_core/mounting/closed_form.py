@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from nav_core.mounting.model import HEIGHT, LONGEST_STEP, Noise, V, pitch_system, turned, yaw_system
-from nav_core.mounting.stretch import Record, Steps, at, integrate, steps_of
-from nav_core.mounting.whitening import Channel, whiten
+from nav_core.mounting.stretch import Record, Steps, at, integrate, rough_share, steps_of
+from nav_core.mounting.whitening import Channel, echo, whiten
 from nav_core.typing import Floats
 
 LAG_GRID = np.arange(0.0, 2.01, 0.25)
@@ -60,7 +60,9 @@ def _planes(record: Record, level: Floats, lag: float, noise: Noise) -> tuple[Ch
     """Both planes with the unknowns (c, s, intercept along, intercept across)."""
     steps = steps_of(record, lag)
     frame = turned(record, level, lag)
-    inputs = np.column_stack([frame.f[:, :2], frame.f[:, :2] * frame.inverse_speed[:, None], frame.inverse_speed])
+    inverse, density = frame.inverse_speed, record.density
+    level_force = frame.f[:, :2]
+    inputs = np.column_stack([level_force, level_force * inverse[:, None], inverse, density, density * inverse**2])
     total = np.diff(at(record, steps.when, integrate(record, inputs)), axis=0, prepend=0.0)
     total[steps.broken] = 0.0
     return _along(record, steps, total, noise), _across(record, steps, total, noise)
@@ -71,13 +73,13 @@ def _along(record: Record, steps: Steps, total: Floats, noise: Noise) -> Channel
     U = np.zeros((count, 1, 5))
     U[:, 0, 1:3], U[:, 0, 3] = total[:, :2], steps.dt
     size = np.hypot(total[:, 0], total[:, 1])
-    P0, Phi, Q, H, r = pitch_system(record, steps, noise, size, np.zeros(count))
+    P0, Phi, Q, H, r = pitch_system(record, steps, noise, size, np.zeros(count), total[:, 5])
     r[:, 2] = np.nan  # the vertical force waits for the refinement
     Y = np.zeros((count, 3, 5))
     Y[:, 0, 0], Y[:, 1, 0] = fixes.speed, np.nan_to_num(fixes.alt)
     x0 = np.zeros(P0.shape[0])
     x0[V], x0[HEIGHT] = Y[0, 0, 0], Y[0, 1, 0]
-    return Channel(x0, P0, Phi, Q, np.array([V]), U, H, Y, r, np.zeros(3), np.arange(4))
+    return Channel(x0, P0, Phi, Q, np.array([V]), U, _rough(total[:, 5], steps), H, Y, r, np.zeros(3), np.arange(4))
 
 
 def _across(record: Record, steps: Steps, total: Floats, noise: Noise) -> Channel:
@@ -86,11 +88,23 @@ def _across(record: Record, steps: Steps, total: Floats, noise: Noise) -> Channe
     U[:, 0, 1], U[:, 0, 2], U[:, 0, 4] = total[:, 3], -total[:, 2], total[:, 4]
     elapsed = np.diff(steps.when, prepend=steps.when[:1])
     size = np.hypot(total[:, 2], total[:, 3])
-    P0, Phi, Q, H, r = yaw_system(fixes, steps, noise, size, total[:, 4], steps.broken | (elapsed > LONGEST_STEP))
+    lost = steps.broken | (elapsed > LONGEST_STEP)
+    P0, Phi, Q, H, r = yaw_system(fixes, steps, noise, size, total[:, 4], total[:, 6], lost)
     Y = np.zeros((count, 1, 5))
     Y[:, 0, 0] = np.nan_to_num(fixes.course)
     x0 = np.zeros(P0.shape[0])
-    return Channel(x0, P0, Phi, Q, np.array([0]), U, H, Y, r, np.array([2.0 * np.pi]), np.arange(4))
+    return Channel(x0, P0, Phi, Q, np.array([0]), U, _rough(total[:, 6], steps), H, Y, r, np.array([2.0 * np.pi]), np.arange(4))
+
+
+def _rough(grain: Floats, steps: Steps) -> Floats:
+    return (grain * rough_share(steps.dt))[:, None]
+
+
+def _quieted(gram: Floats, noisy: float) -> Floats:
+    """Evidence less what the noise of specific force adds to the squares of (c, s), but never less than a tenth."""
+    values, vectors = np.linalg.eigh(gram[1:3, 1:3])
+    gram[1:3, 1:3] = (vectors * np.maximum(values - noisy, 0.1 * values)) @ vectors.T
+    return gram
 
 
 def start(record: Record, noise: Noise) -> Start:
@@ -110,12 +124,15 @@ def start(record: Record, noise: Noise) -> Start:
     block = np.zeros(record.fixes.t.size, dtype=np.int64)
     zero = np.zeros(4)
     grams: list[tuple[Floats, Floats]] = []
+    noisy = np.zeros(2)
     for lag in LAG_GRID:
         pitch, yaw = _planes(record, level, float(lag), noise)
+        if not grams:
+            noisy = np.concatenate([echo(pitch), echo(yaw)])
         grams.append(
             (
-                whiten(pitch, block, 1, zero, limit=np.inf).gram.sum((0, 1)),
-                whiten(yaw, block, 1, zero, limit=np.inf).gram.sum((0, 1)),
+                _quieted(whiten(pitch, block, 1, zero, limit=np.inf).gram.sum((0, 1)), noisy[0]),
+                _quieted(whiten(yaw, block, 1, zero, limit=np.inf).gram.sum((0, 1)), noisy[1]),
             )
         )
     information = np.diag([1e-2, 1e-2, INTERCEPT**-2, INTERCEPT**-2])

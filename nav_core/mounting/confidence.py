@@ -15,7 +15,7 @@ from nav_core.mounting.model import TURN
 from nav_core.mounting.refine import BLOCK, Fit
 from nav_core.typing import Floats
 
-FLOOR = np.radians(0.1)
+FLOOR = np.radians(0.03)
 """What a box's triad and a car's springs do that the model does not know, rad per axis."""
 
 CONVERGED = np.radians(2.0)
@@ -27,7 +27,7 @@ STRETCHES = 8
 _TRUST = 6.0
 """Degrees of freedom with which the model's own scatter is believed before the drive's."""
 
-SHORT = 20.0
+SHORT = 5.0
 """A road of this many seconds is one sample of what roads are like: sigma of a drive of duration T is
 widened by ``sqrt(1 + SHORT / T)``."""
 

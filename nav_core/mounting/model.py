@@ -30,6 +30,7 @@ from nav_core.mounting.stretch import (
     clear_rate,
     gps_rate,
     integrate,
+    rough_share,
     smoothed,
     steps_of,
     unrolled,
@@ -69,23 +70,25 @@ class Noise:
     height_slow: float = 3.0
     """m."""
     slope: float = 0.03
-    slope_length: float = 80.0
+    slope_length: float = 110.0
     """Deviation (rad) and correlation length (m) of the slope, a smooth (second-order) process."""
     bank: float = np.radians(0.8)
     bank_length: float = 80.0
     """Deviation (rad) and correlation length (m) of the bank, a rough (first-order) process."""
-    force: float = 0.025
+    force: float = 0.012
     """White noise of specific force: sensor, vibration left over, (m/s²)/√Hz."""
-    relative: float = 0.01
-    relative_turn: float = 0.01
+    relative: float = 0.005
+    relative_turn: float = 0.005
     """Share of a change of speed, and of course, that the model may miss."""
     heave: float = 0.03
     """Vertical velocity of the body on its springs, m/s."""
-    crown: float = np.radians(0.8)
-    """Mean sideways tilt of the roads of a drive; part of the mounting for all the data can tell, rad."""
+    crown: float = np.radians(0.7)
+    """Mean sideways tilt of the roads of a drive; part of the mounting for all the data can tell, rad.
+    Roads fall by one to two percent to one side: not a bell curve.  The figure is such that 1.96 of it
+    is the 95 % limit, which is what an interval is made of."""
     bias: float = 6.0 * MILLI_G
     """Accelerometer bias before the drive has spoken, per axis, m/s²."""
-    drift: float = 3.0 * MILLI_G / np.sqrt(300.0)
+    drift: float = 1.0 * MILLI_G / np.sqrt(300.0)
     """Random walk of the bias (temperature), (m/s²)/√s."""
     pitch_gain: tuple[float, float] = (0.04, 0.02)
     roll_gain: tuple[float, float] = (0.07, 0.03)
@@ -155,10 +158,13 @@ def turned(record: Record, R_va: Floats, lag: float) -> Frame:
 V, CLIMB, SLOPE, CURVE, HEIGHT, SPEED_ERROR, HEIGHT_ERROR, TILT, DRIFT_X, DRIFT_Z = range(10)
 
 
-def pitch_system(record: Record, steps: Steps, noise: Noise, change: Floats, swing: Floats) -> tuple[Floats, ...]:
+def pitch_system(
+    record: Record, steps: Steps, noise: Noise, change: Floats, swing: Floats, grain: Floats
+) -> tuple[Floats, ...]:
     """Start, transition, noise and measurement rows of the pitch plane.
 
-    `change` and `swing` are the longitudinal and lateral specific force integrated over each step.
+    `change` and `swing` are the longitudinal and lateral specific force integrated over each step,
+    `grain` the density of its noise.
     The body stands on the slope and on the bank: of the acceleration along the road none shows on
     its vertical axis, of the lateral one the share of the bank does.
     """
@@ -194,8 +200,9 @@ def pitch_system(record: Record, steps: Steps, noise: Noise, change: Floats, swi
     Phi[:, SPEED_ERROR, SPEED_ERROR], Q[:, SPEED_ERROR, SPEED_ERROR] = decay, fresh * noise.speed_slow**2
     Phi[:, HEIGHT_ERROR, HEIGHT_ERROR], Q[:, HEIGHT_ERROR, HEIGHT_ERROR] = decay, fresh * noise.height_slow**2
     lost = np.where(steps.broken, 1e4, 0.0)
-    Q[:, V, V] = noise.force**2 * steps.dt + (noise.relative * change) ** 2 + lost
-    Q[:, CLIMB, CLIMB] = noise.force**2 * steps.dt + lost
+    shaken = noise.force**2 * steps.dt + grain
+    Q[:, V, V] = shaken + (noise.relative * change) ** 2 + lost
+    Q[:, CLIMB, CLIMB] = shaken + lost
     Q[:, HEIGHT, HEIGHT] = (0.02 * steps.distance) ** 2 * steps.broken
     H = np.zeros((count, 3, 10))
     H[:, 0, V] = H[:, 0, SPEED_ERROR] = 1.0
@@ -271,7 +278,7 @@ def pitch_plane(record: Record, R_va: Floats, lag: float, noise: Noise) -> Chann
     pushed = np.interp(record.t + lag, fixes.t, acceleration)
     quadratic = np.column_stack([pushed**2, frame.lateral**2]) / GRAVITY
     slope = road_slope(record, (frame.f[:, 0] - pushed) / GRAVITY)
-    inputs = np.column_stack([frame.f, quadratic, frame.w**2, 0.5 * GRAVITY * slope**2])
+    inputs = np.column_stack([frame.f, quadratic, frame.w**2, 0.5 * GRAVITY * slope**2, record.density])
     total = _difference(at(record, steps.when, integrate(record, inputs)), steps.broken)
     U = np.zeros((steps.when.size, 2, c))
     keep = 1.0 - noise.pitch_gain[0]
@@ -291,7 +298,7 @@ def pitch_plane(record: Record, R_va: Floats, lag: float, noise: Noise) -> Chann
     U[:, 1, 1 + 0], U[:, 1, 1 + 1] = total[:, 1], -total[:, 0]
     U[:, 1, 1 + 5] = -steps.dt
     U[:, 1, 1 + PITCH_GAIN], U[:, 1, 1 + ROLL_GAIN] = -total[:, 3], -total[:, 4]
-    P0, Phi, Q, H, r = pitch_system(record, steps, noise, total[:, 0], total[:, 1])
+    P0, Phi, Q, H, r = pitch_system(record, steps, noise, total[:, 0], total[:, 1], total[:, 7])
     Y = np.zeros((steps.when.size, 3, c))
     Y[:, 0, 0], Y[:, 1, 0] = fixes.speed, np.nan_to_num(fixes.alt)
     Y[:, 0, 1 + SPEED_LAG] = change
@@ -300,9 +307,9 @@ def pitch_plane(record: Record, R_va: Floats, lag: float, noise: Noise) -> Chann
     x0[V] = fixes.speed[0]
     x0[HEIGHT] = Y[0, 1, 0]
     columns = np.concatenate([[0], 1 + PITCH_UNKNOWNS])
-    return Channel(
-        x0, P0, Phi, Q, np.array([V, CLIMB]), U[:, :, columns], H, Y[:, :, columns], r, np.zeros(3), PITCH_UNKNOWNS
-    )
+    grain = np.repeat((total[:, 7] * rough_share(steps.dt))[:, None], 2, axis=1)
+    U, Y = U[:, :, columns], Y[:, :, columns]
+    return Channel(x0, P0, Phi, Q, np.array([V, CLIMB]), U, grain, H, Y, r, np.zeros(3), PITCH_UNKNOWNS)
 
 
 def yaw_plane(record: Record, R_va: Floats, lags: tuple[float, float], noise: Noise) -> Channel:
@@ -325,7 +332,7 @@ def yaw_plane(record: Record, R_va: Floats, lags: tuple[float, float], noise: No
     frame = turned(record, R_va, lags[0])
     c = 1 + UNKNOWNS
     inverse = frame.inverse_speed
-    inputs = np.column_stack([frame.f * inverse[:, None], inverse])
+    inputs = np.column_stack([frame.f * inverse[:, None], inverse, record.density * inverse**2])
     total = _difference(at(record, steps.when, integrate(record, inputs)), steps.broken)
     w = at(record, steps.when, frame.w)
     inverse_now = at(record, steps.when, inverse)
@@ -341,7 +348,7 @@ def yaw_plane(record: Record, R_va: Floats, lags: tuple[float, float], noise: No
     U[:, 0, 1 + ROLL_GAIN] = -turn_rate * steps.dt
     U[:, 0, 1 + LEVER_X] = -spin
     lost = steps.broken | (elapsed > LONGEST_STEP)
-    P0, Phi, Q, H, r = yaw_system(record.fixes, steps, noise, total[:, 1], total[:, 3], lost)
+    P0, Phi, Q, H, r = yaw_system(record.fixes, steps, noise, total[:, 1], total[:, 3], total[:, 4], lost)
     Y = np.zeros((steps.when.size, 1, c))
     # Ahead of the point that does not slip, the track points into the turn.
     Y[:, 0, 0] = np.nan_to_num(record.fixes.course) - noise.lever[0] * w * inverse_now
@@ -355,6 +362,7 @@ def yaw_plane(record: Record, R_va: Floats, lags: tuple[float, float], noise: No
         Q,
         np.array([0]),
         U[:, :, columns],
+        (total[:, 4] * rough_share(steps.dt))[:, None],
         H,
         Y[:, :, columns],
         r,
@@ -364,12 +372,13 @@ def yaw_plane(record: Record, R_va: Floats, lags: tuple[float, float], noise: No
 
 
 def yaw_system(
-    fixes: Fixes, steps: Steps, noise: Noise, change: Floats, inverse: Floats, lost: Flags
+    fixes: Fixes, steps: Steps, noise: Noise, change: Floats, inverse: Floats, grain: Floats, lost: Flags
 ) -> tuple[Floats, Floats, Floats, Floats, Floats]:
     """Start, transition, noise and measurement rows of the yaw plane.
 
     `change` is the turn that the lateral force makes in each step, `inverse` one over the speed,
-    integrated; where the course is `lost`, or too slow to follow, the thread begins anew.
+    integrated, `grain` the noise of that turn in rad²; where the course is `lost`, or too slow to
+    follow, the thread begins anew.
     """
     count = fixes.t.size
     Phi, Q = np.zeros((count, 4, 4)), np.zeros((count, 4, 4))
@@ -385,7 +394,7 @@ def yaw_system(
     Phi[:, 2, 2], Q[:, 2, 2] = decay, fresh * noise.across_slow**2
     slack = np.where(steps.dt > 0.0, inverse**2 / np.maximum(steps.dt, 1e-3), 0.0)
     anew = np.where(lost | np.isnan(fixes.course), 100.0, 0.0)
-    Q[:, 0, 0] = noise.force**2 * slack + (noise.relative_turn * change) ** 2 + anew
+    Q[:, 0, 0] = noise.force**2 * slack + grain + (noise.relative_turn * change) ** 2 + anew
     now = 1.0 / np.maximum(fixes.speed, FLOOR_SPEED)
     H = np.zeros((count, 1, 4))
     H[:, 0, 0], H[:, 0, 2] = 1.0, now

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from nav_core.mounting.closed_form import Start
 from nav_core.mounting.model import BIAS, COURSE_LAG, SPEED_LAG, TURN, UNKNOWNS, Noise, pitch_plane, prior, yaw_plane
 from nav_core.mounting.stretch import Record, blocks_of
-from nav_core.mounting.whitening import Evidence, whiten
+from nav_core.mounting.whitening import Evidence, echo, whiten
 from nav_core.typing import Floats
 
 BLOCK = 5.0
@@ -38,7 +38,7 @@ class Fit:
     noise : Noise
         What the record was weighed with.
     gram : ndarray, shape (blocks, 14, 14)
-        Whitened products at the solution, both planes together.
+        Whitened products at the solution, both planes together, less what sensor noise adds to them.
     misfit, count : ndarray, shape (blocks, 4)
         Squared whitened innovations and their number: speed, height, climb, course.
     prior : ndarray, shape (13,)
@@ -97,6 +97,25 @@ def likely_bias(noise: Noise, seen: float) -> Noise:
     return replace(noise, bias=float(np.sqrt((2.0 * noise.bias**2 + seen**2) / 3.0)))
 
 
+LEAST_SHARE = 0.05
+"""Of the evidence for a turn that is taken for signal when it looks like nothing but noise."""
+
+
+def _informative(record: Record, R_va: Floats, lags: tuple[float, float], noise: Noise, gram: Floats) -> Floats:
+    """Root of the share of each column's evidence that is signal, shape (14,); see `echo`.
+
+    A turn about x acts through the lateral force on the climb and the vertical one on the course; about
+    y through the vertical one on the speed and the longitudinal one on the climb; about z through the
+    lateral one on the speed and the longitudinal one on the course.
+    """
+    along, climb = echo(pitch_plane(record, R_va, lags[0], noise))
+    (across,) = echo(yaw_plane(record, R_va, lags, noise))
+    noisy = np.array([climb + across, along + climb, along + across])
+    share = np.ones(1 + UNKNOWNS)
+    share[1:4] = np.sqrt(np.clip(1.0 - noisy / np.maximum(np.diag(gram)[1:4], 1e-12), LEAST_SHARE, 1.0))
+    return share
+
+
 def refine(record: Record, start: Start, noise: Noise, p: Floats | None = None) -> Fit:
     """Maximum a posteriori mounting.
 
@@ -133,13 +152,14 @@ def refine(record: Record, start: Start, noise: Noise, p: Floats | None = None) 
         lags = (float(np.clip(lags[0] + shift[0], 0.0, MAX_LAG)), float(np.clip(lags[1] + shift[1], 0.0, MAX_LAG)))
         at[TURN] = at[[SPEED_LAG, COURSE_LAG]] = 0.0
         suited = likely_bias(noise, float(at[BIAS][2]))
+    share = _informative(record, R_va, lags, suited, gram)
     return Fit(
         R_va=R_va,
         p=at,
         speed_lag=lags[0],
         course_lag=lags[1],
         noise=suited,
-        gram=evidence.gram.sum(1),
+        gram=evidence.gram.sum(1) * np.outer(share, share),
         misfit=evidence.misfit(at),
         count=evidence.number,
         prior=diagonal,

@@ -67,4 +67,5 @@ def between(record: Record, begin: float, end: float) -> Record:
     ticks = (record.t >= begin) & (record.t <= end)
     step = record.step[ticks].copy()
     step[:1] = 0.0
-    return Record(record.t[ticks], record.f[ticks], step, Fixes(*(column[inside] for column in record.fixes)))
+    fixes = Fixes(*(column[inside] for column in record.fixes))
+    return Record(record.t[ticks], record.f[ticks], step, fixes, record.density[ticks])

@@ -5,9 +5,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import erf
 
 from nav_core.records import Gnss
-from nav_core.signal import Ticks
+from nav_core.signal import KERNEL_TICKS, Ticks
 from nav_core.timebase import stale
 from nav_core.typing import Flags, Floats, Integers
 
@@ -66,6 +67,31 @@ class Record(NamedTuple):
     step: Floats
     """Valid time that ends at each tick, s: 0 after a gap, shape (m,)."""
     fixes: Fixes
+    density: Floats
+    """Noise of specific force, spectral density of each axis, (m/s²)²/Hz, shape (m,)."""
+
+
+GRAIN_REACH = 1.5
+"""Half width of the mean of noise densities, s."""
+
+FOLDS = 45.0
+"""Vibration of wheels and body reaches 20 Hz and more (001 §4.6): sampled slower than this, Hz, it is folded."""
+
+UNFOLDED = 0.04
+"""Share of the samples' variance that is noise of its own when vibration is sampled fast enough to be filtered."""
+
+
+def grain(ticks: Ticks) -> Floats:
+    """Spectral density of the noise of specific force at each tick, of one axis, (m/s²)²/Hz, shape (n,).
+
+    The samples' scatter about their tick is vibration for the most.  Folded by slow sampling it is
+    as good as white noise; otherwise the decimation filters it away, all but a share.  The effective
+    number of samples under a Hann window is ``(sum w)² / sum w²``, four thirds of its weight.
+    """
+    independent = np.maximum(4.0 / 3.0 * ticks.weight, 1.5)
+    variance = ticks.scatter**2 / 3.0 / (1.0 - 1.0 / independent)
+    per_second = np.maximum(ticks.weight, 1e-9) * ticks.rate * 2.0 / KERNEL_TICKS
+    return np.where(per_second < FOLDS, 1.0, UNFOLDED) * variance / per_second
 
 
 def prepare(ticks: Ticks, fixes: Fixes) -> Record:
@@ -76,7 +102,8 @@ def prepare(ticks: Ticks, fixes: Fixes) -> Record:
     t, f = ticks.t[inside], ticks.f[inside]
     step = np.diff(t, prepend=t[:1])
     step[step > 3.5 / ticks.rate] = 0.0
-    return Record(t, f, step, fixes)
+    bare = Record(t, f, step, fixes, np.zeros(t.size))
+    return bare._replace(density=smoothed(bare, grain(ticks)[inside], GRAIN_REACH))
 
 
 def integrate(record: Record, values: Floats) -> Floats:
@@ -163,6 +190,20 @@ def unrolled(course: Floats) -> Floats:
     out = course.copy()
     out[known] = np.unwrap(course[known])
     return out
+
+
+WINDOW_SPREAD = 0.0723
+"""Standard deviation of the decimation's Hann window at the default tick rate, s."""
+
+
+def rough_share(dt: Floats) -> Floats:
+    """Share of white noise, integrated over `dt` seconds, that the decimation leaves, shape (n,).
+
+    ``E max(dt - |d|, 0) / dt`` with d the distance of two draws from the window, taken as normal.
+    """
+    s = np.sqrt(2.0) * WINDOW_SPREAD
+    z = np.maximum(dt, 1e-3) / s
+    return erf(z / np.sqrt(2.0)) - np.sqrt(2.0 / np.pi) / z * (1.0 - np.exp(-0.5 * z**2))
 
 
 def blocks_of(t: Floats, origin: float, length: float) -> Integers:

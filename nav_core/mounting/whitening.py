@@ -39,6 +39,8 @@ class Channel(NamedTuple):
     """States that have an input, shape (d,)."""
     U: Floats
     """Inputs, shape (N, d, c)."""
+    grain: Floats
+    """Variance of sensor noise in the inputs, part of Q, shape (N, d)."""
     H: Floats
     """Measurement rows, shape (N, k, n)."""
     Y: Floats
@@ -244,6 +246,72 @@ def whiten(
     )
     gram += np.swapaxes(np.tril(gram, -1), -1, -2)
     return Evidence(_spread(gram, channel.unknowns, p.size), number, log_det)
+
+
+@kernel
+def _echo(
+    P0: Floats,
+    Phi: Floats,
+    Q: Floats,
+    H: Floats,
+    r: Floats,
+    state: int,
+    grain: Floats,
+) -> float:
+    steps, n = Phi.shape[0], Phi.shape[1]
+    X = np.zeros((n, 0))
+    P, G, half = P0.copy(), np.zeros((n, n)), np.zeros((n, n))
+    Ph, Gh = np.zeros(n), np.zeros(n)
+    nothing = np.zeros((n, n))
+    power = 0.0
+    for i in range(steps):
+        _predict(Phi[i], Q[i], X, P, X, half)
+        _predict(Phi[i], nothing, X, G, X, half)
+        G[state, state] += grain[i]
+        for m in range(H.shape[1]):
+            if np.isfinite(r[i, m]):
+                h = H[i, m]
+                s, g = r[i, m], 0.0
+                for a in range(n):
+                    Ph[a] = Gh[a] = 0.0
+                for b in range(n):
+                    if h[b] != 0.0:
+                        for a in range(n):
+                            Ph[a] += P[a, b] * h[b]
+                            Gh[a] += G[a, b] * h[b]
+                for a in range(n):
+                    s += h[a] * Ph[a]
+                    g += h[a] * Gh[a]
+                power += g / s
+                for a in range(n):
+                    gain = Ph[a] / s
+                    for b in range(n):
+                        G[a, b] += gain * (Ph[b] / s * g - Gh[b]) - Gh[a] * Ph[b] / s
+                        P[a, b] -= gain * Ph[b]
+    return power
+
+
+def echo(channel: Channel) -> Floats:
+    """What sensor noise in the inputs would pass for in the derivatives.
+
+    The derivative with respect to a turn is specific force about another axis, and as noisy as that.
+    Noise raises the sums of products of the whitened derivatives as signal does; this much of them
+    is not information.
+
+    Parameters
+    ----------
+    channel : Channel
+
+    Returns
+    -------
+    ndarray, shape (d,)
+        Expected sum of squares of the whitened innovations that the noise of each driven state causes.
+    """
+    whole = np.ascontiguousarray
+    system = [whole(part) for part in (channel.P0, channel.Phi, channel.Q, channel.H, channel.r)]
+    return np.array(
+        [_echo(*system, int(state), whole(channel.grain[:, d])) for d, state in enumerate(channel.driven)]
+    )
 
 
 def whiten_reference(channel: Channel, block: Integers, blocks: int, p: Floats, *, limit: float = np.inf) -> Evidence:
