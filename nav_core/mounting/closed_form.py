@@ -93,7 +93,9 @@ def _across(record: Record, steps: Steps, total: Floats, noise: Noise) -> Channe
     Y = np.zeros((count, 1, 5))
     Y[:, 0, 0] = np.nan_to_num(fixes.course)
     x0 = np.zeros(P0.shape[0])
-    return Channel(x0, P0, Phi, Q, np.array([0]), U, _rough(total[:, 6], steps), H, Y, r, np.array([2.0 * np.pi]), np.arange(4))
+    return Channel(
+        x0, P0, Phi, Q, np.array([0]), U, _rough(total[:, 6], steps), H, Y, r, np.array([2.0 * np.pi]), np.arange(4)
+    )
 
 
 def _rough(grain: Floats, steps: Steps) -> Floats:

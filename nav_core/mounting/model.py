@@ -278,8 +278,8 @@ def pitch_plane(record: Record, R_va: Floats, lag: float, noise: Noise) -> Chann
     pushed = np.interp(record.t + lag, fixes.t, acceleration)
     quadratic = np.column_stack([pushed**2, frame.lateral**2]) / GRAVITY
     slope = road_slope(record, (frame.f[:, 0] - pushed) / GRAVITY)
-    inputs = np.column_stack([frame.f, quadratic, frame.w**2, 0.5 * GRAVITY * slope**2, record.density])
-    total = _difference(at(record, steps.when, integrate(record, inputs)), steps.broken)
+    felt = np.column_stack([frame.f, quadratic, frame.w**2, 0.5 * GRAVITY * slope**2, record.density])
+    total = _difference(at(record, steps.when, integrate(record, felt)), steps.broken)
     U = np.zeros((steps.when.size, 2, c))
     keep = 1.0 - noise.pitch_gain[0]
     U[:, 0, 0] = keep * total[:, 0] + noise.lever[0] * total[:, 5]
@@ -308,8 +308,8 @@ def pitch_plane(record: Record, R_va: Floats, lag: float, noise: Noise) -> Chann
     x0[HEIGHT] = Y[0, 1, 0]
     columns = np.concatenate([[0], 1 + PITCH_UNKNOWNS])
     grain = np.repeat((total[:, 7] * rough_share(steps.dt))[:, None], 2, axis=1)
-    U, Y = U[:, :, columns], Y[:, :, columns]
-    return Channel(x0, P0, Phi, Q, np.array([V, CLIMB]), U, grain, H, Y, r, np.zeros(3), PITCH_UNKNOWNS)
+    inputs, values = U[:, :, columns], Y[:, :, columns]
+    return Channel(x0, P0, Phi, Q, np.array([V, CLIMB]), inputs, grain, H, values, r, np.zeros(3), PITCH_UNKNOWNS)
 
 
 def yaw_plane(record: Record, R_va: Floats, lags: tuple[float, float], noise: Noise) -> Channel:

@@ -249,7 +249,7 @@ def whiten(
 
 
 @kernel
-def _echo(
+def _echo(  # noqa: C901  unrolled products that skip zeros
     P0: Floats,
     Phi: Floats,
     Q: Floats,
@@ -308,10 +308,9 @@ def echo(channel: Channel) -> Floats:
         Expected sum of squares of the whitened innovations that the noise of each driven state causes.
     """
     whole = np.ascontiguousarray
-    system = [whole(part) for part in (channel.P0, channel.Phi, channel.Q, channel.H, channel.r)]
-    return np.array(
-        [_echo(*system, int(state), whole(channel.grain[:, d])) for d, state in enumerate(channel.driven)]
-    )
+    P0, Phi, Q, H, r = map(whole, (channel.P0, channel.Phi, channel.Q, channel.H, channel.r))
+    inputs = enumerate(channel.driven.tolist())
+    return np.array([_echo(P0, Phi, Q, H, r, state, whole(channel.grain[:, d])) for d, state in inputs])
 
 
 def whiten_reference(channel: Channel, block: Integers, blocks: int, p: Floats, *, limit: float = np.inf) -> Evidence:

@@ -7,7 +7,7 @@ import pytest
 
 from nav_core.mounting.model import UNKNOWNS, Noise, pitch_plane, yaw_plane
 from nav_core.mounting.stretch import blocks_of, prepare, usable_fixes
-from nav_core.mounting.whitening import Channel, whiten, whiten_reference
+from nav_core.mounting.whitening import Channel, echo, whiten, whiten_reference
 from nav_core.signal import decimate
 from nav_core.simulate import Scenario, simulate
 
@@ -22,6 +22,7 @@ def _channel(rng: np.random.Generator, steps: int = 25) -> Channel:
         Q=root @ np.swapaxes(root, 1, 2),
         driven=np.array([0, 2]),
         U=rng.normal(size=(steps, 2, c)),
+        grain=rng.uniform(0.0, 0.1, (steps, 2)),
         H=rng.normal(size=(steps, k, n)),
         Y=rng.normal(size=(steps, k, c)),
         r=np.where(rng.random((steps, k)) < 0.2, np.nan, rng.uniform(0.1, 1.0, (steps, k))),
@@ -101,3 +102,15 @@ def test_stretches_that_begin_anew_know_nothing_of_each_other():
     both = whiten(channel, np.arange(20) // 10, 2, p, restart=True)
     alone = whiten(second, np.zeros(10, dtype=np.int64), 1, p)
     np.testing.assert_allclose(both.gram[1], alone.gram[0], rtol=1e-12)
+
+
+@pytest.mark.parametrize("driven", [0, 1])
+def test_the_echo_of_noise_is_that_of_every_step_on_its_own(driven: int):
+    """One derivative a step, an impulse of the noise's size; the squares add up."""
+    steps = 25
+    channel = _channel(np.random.default_rng(8), steps)
+    U, Y = np.zeros((steps, 2, 1 + steps)), np.zeros((steps, 2, 1 + steps))
+    U[np.arange(steps), driven, 1 + np.arange(steps)] = np.sqrt(channel.grain[:, driven])
+    impulses = channel._replace(x0=np.zeros(channel.x0.size), U=U, Y=Y, unknowns=np.arange(steps))
+    gram = whiten_reference(impulses, np.zeros(steps, dtype=np.int64), 1, np.zeros(steps)).gram.sum((0, 1))
+    assert echo(channel)[driven] == pytest.approx(np.trace(gram[1:, 1:]), rel=1e-9)

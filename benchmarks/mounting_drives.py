@@ -1,0 +1,131 @@
+"""The drives of the mounting benchmark and what each estimator makes of them; a line of JSON a drive."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass, replace
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import numpy as np
+
+from nav_core.mounting import estimate_mounting
+from nav_core.mounting.bound import mounting_bound
+from nav_core.rotation import error_between
+from nav_core.simulate import Scenario, simulate
+
+METHODS = ("whole-drive", "online", "mekf", "two-phase")
+OURS = METHODS[:1]
+GNSS_RATES = (1.0, 4.0, 10.0)
+MILLI_G = 9.80665e-3
+
+
+@dataclass(frozen=True)
+class Row:
+    """A set of drives with common conditions; GPS at 1, 4 and 10 Hz in turn unless the scenario is `fixed`."""
+
+    name: str
+    scenario: Scenario
+    count: int
+    methods: tuple[str, ...] = OURS
+    fixed: bool = False
+
+    def scenarios(self) -> Iterator[Scenario]:
+        """One scenario a drive."""
+        for index in range(self.count):
+            rate = self.scenario.gnss_rate if self.fixed else GNSS_RATES[index % len(GNSS_RATES)]
+            yield replace(self.scenario, gnss_rate=rate)
+
+
+def _route(name: str, duration: float, **changes: Any) -> Scenario:
+    return Scenario(route=name, duration=duration, **changes)  # type: ignore[arg-type]
+
+
+ROUTES = {
+    "urban 300 s": _route("urban", 300.0),
+    "urban 60 s": _route("urban", 60.0),
+    "roundabout 120 s": _route("roundabout", 120.0),
+    "straight 300 s": _route("straight", 300.0),
+    "highway 600 s": _route("highway", 600.0),
+    "gentle 300 s": _route("gentle", 300.0),
+}
+
+ROWS = (
+    *(Row(name, scenario, 200 if name == "urban 300 s" else 150, METHODS) for name, scenario in ROUTES.items()),
+    *(
+        Row(f"{name}, accelerometer {rate:g} Hz", replace(scenario, accel_rate=rate), 30)
+        for name, scenario in ROUTES.items()
+        for rate in (100.0, 50.0, 10.0)
+    ),
+    *(
+        Row(f"{name}, bias {bias:g} mg", replace(scenario, accel_bias=bias * MILLI_G), 30)
+        for name, scenario in ROUTES.items()
+        for bias in (0.0, 30.0)
+    ),
+    Row("urban 1800 s, calibrated, no crown", _route("urban", 1800.0, accel_bias=0.0, crown=0.0), 30),
+    Row("standing 300 s", _route("static", 300.0), 60),
+    Row("urban 300 s, 4 Hz GPS", ROUTES["urban 300 s"], 40, METHODS, fixed=True),
+    Row("roundabout 120 s, 4 Hz GPS", ROUTES["roundabout 120 s"], 40, METHODS, fixed=True),
+    Row("highway 600 s, 4 Hz GPS", ROUTES["highway 600 s"], 40, METHODS, fixed=True),
+)
+
+
+def seed_of(row: int, index: int) -> int:
+    """Fixed, and met nowhere else in the tests."""
+    return 500_000 + 1_000 * row + index
+
+
+def run_drive(row: int, index: int) -> dict[str, Any]:
+    """Simulate one drive, bound it, and estimate it by every method of its row."""
+    job = ROWS[row]
+    scenario = next(islice(job.scenarios(), index, None))
+    seed = seed_of(row, index)
+    drive, truth = simulate(scenario, seed=seed)
+    out: dict[str, Any] = {
+        "row": job.name,
+        "index": index,
+        "gnss_rate": scenario.gnss_rate,
+        "crown_deg": float(np.degrees(truth.crown)),
+        "bound_deg": np.degrees(np.sqrt(np.diag(mounting_bound(scenario, seed=seed)))).tolist(),
+        "results": {},
+    }
+    for method in job.methods:
+        found = estimate_mounting(drive, method=method)  # type: ignore[arg-type]
+        known = found.R_va is not None and found.sigma is not None
+        out["results"][method] = {
+            "status": found.status,
+            "error_deg": np.degrees(error_between(found.R_va, truth.R_va)).tolist() if known else None,
+            "sigma_deg": np.degrees(found.sigma).tolist() if known else None,
+            "converged_after_s": found.converged_after,
+            "changes": len(found.changes),
+            "reasons": [reason.code for reason in found.reasons],
+        }
+    return out
+
+
+def run_all(path: Path, *, workers: int = 2) -> list[dict[str, Any]]:
+    """Every drive that the file does not hold yet; progress on standard error."""
+    done: list[dict[str, Any]] = []
+    if path.exists():
+        done = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+    known = {(entry["row"], entry["index"]) for entry in done}
+    todo = [
+        (row, index) for row, job in enumerate(ROWS) for index in range(job.count) if (job.name, index) not in known
+    ]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("a", encoding="utf-8") as file, ProcessPoolExecutor(workers) as pool:
+        futures = [pool.submit(run_drive, row, index) for row, index in todo]
+        for future in as_completed(futures):
+            entry = future.result()
+            file.write(json.dumps(entry) + "\n")
+            file.flush()
+            done.append(entry)
+            print(f"\r{len(done)} of {len(known) + len(todo)} drives", end="", file=sys.stderr)
+    return done

@@ -1,0 +1,171 @@
+"""Many trips of one installation, fused in information form.
+
+What a trip says of the mounting fits into one small matrix, so a new trip costs its own length and
+no more.  The mounting, the car's gains and lever arm and the receiver's lags are the same in all
+trips and keep their prior once; the accelerometer's bias and the mean bank of the roads come anew in
+part, and that part is summed out before a trip joins the others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from nav_core.errors import ShapeError
+from nav_core.mounting.confidence import FLOOR, assess
+from nav_core.mounting.model import BIAS, COURSE_LAG, MILLI_G, SPEED_LAG, TURN, UNKNOWNS, Noise, prior
+from nav_core.mounting.refine import BLOCK, Fit
+from nav_core.rotation import error_between
+from nav_core.typing import Floats
+
+BIAS_AGAIN = 2.0 * MILLI_G
+"""How much of the bias is new in every trip (temperature, switching on), 1 sigma, m/s²."""
+
+BANK_AGAIN = np.radians(0.25)
+"""How far the mean bank of one trip's roads strays from that of the others, 1 sigma, rad."""
+
+
+@dataclass(frozen=True, slots=True)
+class TripEvidence:
+    """All that one trip, or many, say of a mounting.
+
+    Attributes
+    ----------
+    R_va : ndarray, shape (3, 3)
+        Where `gram` was linearised; its turn is relative to this.
+    speed_lag, course_lag : float
+        The same for the lags, s.
+    gram : ndarray, shape (14, 14)
+        Products of the whitened innovations and their derivatives, without any prior, less what the
+        trip's own doubts (innovations, disagreement of its stretches) take from them.
+    duration : float
+        Of the stretches behind it, s.
+    trips : int
+    """
+
+    R_va: Floats
+    speed_lag: float
+    course_lag: float
+    gram: Floats
+    duration: float
+    trips: int = 1
+
+    def __post_init__(self) -> None:
+        for name, shape in (("R_va", (3, 3)), ("gram", (1 + UNKNOWNS, 1 + UNKNOWNS))):
+            if getattr(self, name).shape != shape:
+                raise ShapeError(name, getattr(self, name).shape, str(shape))
+
+
+def trip_evidence(fit: Fit) -> TripEvidence:
+    """What a fit of one trip has to say to others.
+
+    Parameters
+    ----------
+    fit : Fit
+
+    Returns
+    -------
+    TripEvidence
+    """
+    found = assess(fit)
+    scale = np.ones(1 + UNKNOWNS)
+    scale[1:4] = 1.0 / found.widening
+    gram = fit.gram.sum(0) * np.outer(scale, scale)
+    again = np.zeros(UNKNOWNS)
+    again[BIAS], again[0] = BIAS_AGAIN, BANK_AGAIN
+    return TripEvidence(fit.R_va, fit.speed_lag, fit.course_lag, _without_own(gram, again), BLOCK * len(fit.gram))
+
+
+def joined(trips: Sequence[TripEvidence]) -> TripEvidence:
+    """The sum of several trips, linearised where the last one is.
+
+    Parameters
+    ----------
+    trips : sequence of TripEvidence
+        At least one.
+
+    Returns
+    -------
+    TripEvidence
+
+    Raises
+    ------
+    ShapeError
+        If there are none.
+    """
+    if not trips:
+        raise ShapeError("trips", (0,), "at least one")
+    last = trips[-1]
+    gram = np.sum([_seen_from(trip, last) for trip in trips], axis=0)
+    return TripEvidence(
+        last.R_va,
+        last.speed_lag,
+        last.course_lag,
+        gram,
+        sum(trip.duration for trip in trips),
+        sum(trip.trips for trip in trips),
+    )
+
+
+def solved(evidence: TripEvidence, noise: Noise) -> tuple[Floats, Floats]:
+    """Mounting and covariance from evidence and prior.
+
+    Parameters
+    ----------
+    evidence : TripEvidence
+    noise : Noise
+
+    Returns
+    -------
+    R_va : ndarray, shape (3, 3)
+    covariance : ndarray, shape (3, 3)
+        About the V axes, rad², without the mean bank common to all roads.
+    """
+    diagonal, mean = prior(noise, (evidence.speed_lag, evidence.course_lag))
+    covariance = np.linalg.inv(evidence.gram[1:, 1:] + np.diag(diagonal + 1e-6))
+    turn = (covariance @ (diagonal * mean - evidence.gram[1:, 0]))[TURN]
+    R_va: Floats = Rotation.from_rotvec(turn).as_matrix() @ evidence.R_va
+    return R_va, covariance[TURN, TURN] + FLOOR**2 * np.eye(3)
+
+
+def disagreement(one: TripEvidence, other: TripEvidence, noise: Noise) -> tuple[float, float]:
+    """How far two sets of trips are apart.
+
+    Parameters
+    ----------
+    one, other : TripEvidence
+    noise : Noise
+
+    Returns
+    -------
+    chi2 : float
+        Squared difference over its covariance, three degrees of freedom.
+    angle : float
+        rad.
+    """
+    R_one, C_one = solved(one, noise)
+    R_other, C_other = solved(other, noise)
+    e = error_between(R_other, R_one)
+    return float(e @ np.linalg.solve(C_one + C_other, e)), float(np.linalg.norm(e))
+
+
+def _without_own(gram: Floats, again: Floats) -> Floats:
+    """Evidence with a trip's own deviations of the unknowns, of standard deviation `again`, summed out."""
+    own = np.flatnonzero(again) + 1
+    inner = gram[np.ix_(own, own)] + np.diag(again[own - 1] ** -2.0)
+    cross = gram[:, own]
+    return gram - cross @ np.linalg.solve(inner, cross.T)
+
+
+def _seen_from(trip: TripEvidence, last: TripEvidence) -> Floats:
+    """A trip's evidence with the unknowns counted from where another one stands."""
+    shift = np.zeros(UNKNOWNS)
+    shift[TURN] = error_between(last.R_va, trip.R_va)
+    shift[SPEED_LAG] = last.speed_lag - trip.speed_lag
+    shift[COURSE_LAG] = last.course_lag - trip.course_lag
+    basis = np.eye(1 + UNKNOWNS)
+    basis[1:, 0] = shift
+    return basis.T @ trip.gram @ basis
