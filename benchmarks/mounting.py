@@ -1,4 +1,4 @@
-"""`make bench-mounting`: over 2000 simulated drives with fixed seeds; writes docs/mounting-benchmark.md and its figures.
+"""`make bench-mounting`: over 2000 simulated drives with fixed seeds; writes docs/mounting-benchmark.md and a figure.
 
 Resumable: drives already in artifacts/mounting-benchmark.jsonl are not run again.
 """
@@ -88,8 +88,8 @@ def report(done: list[dict[str, Any]]) -> str:
     parts = [
         "# Mounting benchmark",
         "",
-        f"Written by `make bench-mounting` ({sum(map(len, by_row.values()))} simulated drives, fixed seeds; "
-        f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}).",
+        f"Written by `make bench-mounting`: {len(done)} simulated drives, fixed seeds; {platform.machine()}, ",
+        f"{os.cpu_count()} cores, Python {platform.python_version()}.",
         "",
         "Every drive counts; errors are over drives with a result. Errors are rotations about the vehicle's axes that",
         "separate estimate and truth (x roll, y pitch, z yaw); `median` and `worst` are of the whole angle. The roads'",
