@@ -78,12 +78,13 @@ class Vehicle:
             if not getattr(self, name) > 0.0:
                 raise RangeError(name, getattr(self, name), "> 0")
 
-    def weights(self) -> Weights:
+    def weights(self, receiver: Receiver) -> Weights:
         """For the kernel, with the times over which slip (1 s), mounting (30 s) and rest (1 s) repeat themselves."""
         epoch = 0.1
         return Weights(
             accel_walk=self.accel_walk**2,
             gyro_walk=self.gyro_walk**2,
+            correlation=receiver.correlation,
             sideways=self.sideways,
             downwards=self.downwards,
             slip_repeat=2.0 * 1.0 / epoch,
@@ -109,7 +110,7 @@ class Start(NamedTuple):
         Latitude, longitude (rad), height (m); north, east, down, m/s.
     C : ndarray, shape (3, 3)
         Attitude of the vehicle, level on its course.
-    P : ndarray, shape (15, 15)
+    P : ndarray, shape (20, 20)
     """
 
     sample: int
@@ -189,7 +190,7 @@ def navigate(
         course_lag=course_lag,
     )
     start, epochs = record.start, record.epochs
-    places, v, attitudes, bias, P_prior, P, Phi, dx, left_out = kernels.run(
+    places, v, attitudes, slow, P_prior, P, Phi, dx, left_out = kernels.run(
         record.t,
         record.increments.rotation,
         record.increments.velocity,
@@ -205,7 +206,8 @@ def navigate(
         e = np.zeros_like(dx)
         # Corrections are already in the estimate: seen from it, each prediction stood at minus its correction.
         smooth_backwards(-dx, P_prior, e, P, Phi[1:])
-        places, v, attitudes, bias = moved(places, v, attitudes, bias, e)
+        places, v, attitudes, slow = moved(places, v, attitudes, slow, e)
+    P = P[:, : kernels.VEHICLE, : kernels.VEHICLE].copy()
     # The triad navigated is the box turned by its mounting: what that errs by, the attitude of the vehicle errs by.
     P[:, range(6, 9), range(6, 9)] += record.weights.mount**2
     return Solution(
@@ -218,7 +220,7 @@ def navigate(
         v,
         attitudes,
         P,
-        bias,
+        slow[:, :6],
         epochs.still,
         record.fixes,
         int(left_out),
@@ -242,7 +244,7 @@ def prepare(
         raise TooLittleDataError("samples after the first moving fix", int(t.size), 4)
     epochs = epochs_of(t, f, w, seen, force_noise=vehicle.force_noise, rate_noise=vehicle.rate_noise)
     fixes = int(np.count_nonzero(np.isfinite(epochs.z[:, 0])))
-    return Record(t, from_rates(t, w, f), epochs, start, np.array(vehicle.arm), vehicle.weights(), fixes)
+    return Record(t, from_rates(t, w, f), epochs, start, np.array(vehicle.arm), vehicle.weights(receiver), fixes)
 
 
 def _start(t: Floats, seen: Reports, vehicle: Vehicle) -> Start:
@@ -254,8 +256,9 @@ def _start(t: Floats, seen: Reports, vehicle: Vehicle) -> Start:
     first = int(np.argmax(usable))
     lat, lon, height, speed, course = seen.z[first]
     variances = seen.noise[first, :, 0]
-    P = np.zeros((15, 15))
-    P[range(3), range(3)] = variances[:3]
+    P = np.eye(kernels.STATES)
+    # Wide, for the place is that of a fix which the filter reads as well, with the same error.
+    P[range(3), range(3)] = 100.0 * variances[:3]
     P[range(3, 6), range(3, 6)] = 0.5**2
     P[range(6, 8), range(6, 8)] = vehicle.tilt**2
     # Besides noise, the box swings about the slip-free point, and the course may lag by more than was said.
@@ -271,8 +274,8 @@ def _start(t: Floats, seen: Reports, vehicle: Vehicle) -> Start:
     )
 
 
-def moved(places: Floats, v: Floats, C: Floats, bias: Floats, e: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-    """Put errors `e` (n, 15), truth minus estimate, into a whole track; what `kernels.apply` does at one epoch."""
+def moved(places: Floats, v: Floats, C: Floats, slow: Floats, e: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+    """Put errors `e` (n, 20), truth minus estimate, into a whole track; what `kernels.apply` does at one epoch."""
     meridian, normal = earth.radii(places[:, 0])
     shift = np.stack(
         (
@@ -282,4 +285,4 @@ def moved(places: Floats, v: Floats, C: Floats, bias: Floats, e: Floats) -> tupl
         ),
         axis=1,
     )
-    return places + shift, v + e[:, 3:6], rotvec_to_matrix(e[:, 6:9]) @ C, bias + e[:, 9:]
+    return places + shift, v + e[:, 3:6], rotvec_to_matrix(e[:, 6:9]) @ C, slow + e[:, 9:]
