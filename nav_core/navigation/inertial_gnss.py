@@ -1,7 +1,8 @@
 """Inertial navigation corrected by GPS: 15 states, closed loop, with the constraints of a wheeled vehicle, smoothed.
 
 Beyond 000 §7.7.2, which takes the attitude as known: here position, velocity, attitude and the biases of accelerometer
-and gyro are estimated together, so that a bias learnt while GPS lasts carries through an outage (Groves 2013 ch. 14).
+and gyro are estimated together, so that a bias learnt while GPS lasts carries through an outage (Groves 2013 ch. 14),
+and so is what neighbouring fixes err by in common (000 §3.10), so that it is not taken for motion.
 """
 
 from __future__ import annotations
@@ -94,6 +95,7 @@ class Vehicle:
             rest=0.05,
             rest_repeat=2.0 * 1.0 / epoch,
             rest_rate=5e-4,
+            rest_push=0.1,
             gate=gate(1, 0.9995),
             relent=8.0,
         )
@@ -189,7 +191,7 @@ def navigate(
         speed_lag=speed_lag,
         course_lag=course_lag,
     )
-    start, epochs = record.start, record.epochs
+    start, epochs = record.start, record.epochs._replace(still=record.epochs.still.copy())
     places, v, attitudes, slow, P_prior, P, Phi, dx, left_out = kernels.run(
         record.t,
         record.increments.rotation,
@@ -207,9 +209,9 @@ def navigate(
         # Corrections are already in the estimate: seen from it, each prediction stood at minus its correction.
         smooth_backwards(-dx, P_prior, e, P, Phi[1:])
         places, v, attitudes, slow = moved(places, v, attitudes, slow, e)
-    P = P[:, : kernels.VEHICLE, : kernels.VEHICLE].copy()
+    covariance = P[:, : kernels.VEHICLE, : kernels.VEHICLE].copy()
     # The triad navigated is the box turned by its mounting: what that errs by, the attitude of the vehicle errs by.
-    P[:, range(6, 9), range(6, 9)] += record.weights.mount**2
+    covariance[:, range(6, 9), range(6, 9)] += record.weights.mount**2
     return Solution(
         "inertial-gnss",
         smoothed,
@@ -219,7 +221,7 @@ def navigate(
         places[:, 2],
         v,
         attitudes,
-        P,
+        covariance,
         slow[:, :6],
         epochs.still,
         record.fixes,

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from nav_core.attitude.kernels import Vector, cross, turn
-from nav_core.kalman.kernels import propagate_covariance, update_sequential
+from nav_core.kalman.kernels import projected, propagate_covariance, update_sequential
 from nav_core.strapdown.kernels import curvatures, step_local
 from nav_core.typing import Floats, Integers, kernel
 
@@ -53,6 +53,8 @@ class Weights(NamedTuple):
         Velocity at rest, m/s, 1 sigma, and its repetition.
     rest_rate : float
         Turning at rest, rad/s, 1 sigma.
+    rest_push : float
+        Mean acceleration over an epoch at rest, m/s², 1 sigma: people and suspension.
     gate : float
         Squared normalised innovation beyond which a measurement is left out.
     relent : float
@@ -71,6 +73,7 @@ class Weights(NamedTuple):
     rest: float
     rest_repeat: float
     rest_rate: float
+    rest_push: float
     gate: float
     relent: float
 
@@ -224,8 +227,10 @@ def advance(
     weights: Weights,
     Phi: Floats,
     half: Floats,
-) -> Vector:
-    """Navigate over the samples between two epochs and predict; returns the mean angular rate, V axes, rad/s.
+) -> tuple[Vector, Vector]:
+    """Navigate over the samples between two epochs and predict.
+
+    Returns the mean specific force, T axes, m/s², and the mean angular rate, V axes, rad/s.
 
     `density` (2,) holds the white noise of specific force and rate, (m/s²)²s and (rad/s)²s; `half` (20, 20) is zero
     off its diagonal.  Half of the noise enters at the start and half at the end: third order in the period.
@@ -246,7 +251,8 @@ def advance(
         step_local(place, v, C, turned, pushed, dt, False)
     middle += 0.5 * C
     keep = np.exp(-T / weights.correlation)
-    transition_of((fx / T, fy / T, fz / T), middle, T, keep, Phi)
+    force = (fx / T, fy / T, fz / T)
+    transition_of(force, middle, T, keep, Phi)
     for i in range(VEHICLE, STATES):
         slow[i - 9] *= keep
         half[i, i] = (1.0 - keep * keep) / (1.0 + keep * keep)
@@ -256,7 +262,23 @@ def advance(
     for i in range(STATES):
         P[i, i] += half[i, i]
     propagate_covariance(P, Phi, half)
-    return wx / T, wy / T, wz / T
+    return force, (wx / T, wy / T, wz / T)
+
+
+@kernel
+def speeds_up(force: Vector, Phi: Floats, P: Floats, T: float, noise: float, weights: Weights) -> bool:
+    """Whether the horizontal specific force is more than tilt, biases and rest explain: the vehicle is not at rest.
+
+    Calm sensors alone do not tell rest from smooth braking at walking pace.  `noise` is the density of the force.
+    """
+    for i in range(2):
+        variance = noise / T + weights.rest_push**2
+        for j in range(6, VEHICLE):
+            for k in range(6, VEHICLE):
+                variance += Phi[3 + i, j] * P[j, k] * Phi[3 + i, k] / (T * T)
+        if force[i] * force[i] > weights.gate * variance:
+            return True
+    return False
 
 
 @kernel
@@ -265,11 +287,7 @@ def strike(P: Floats, e: Floats, H: Floats, s: Floats, gate: float) -> None:
     for i in range(e.size):
         if np.isnan(e[i]):
             continue
-        variance = s[i]
-        for j in range(STATES):
-            if H[i, j] != 0.0:
-                for k in range(STATES):
-                    variance += H[i, j] * P[j, k] * H[i, k]
+        variance = s[i] + H[i] @ projected(P, H[i])
         if e[i] * e[i] > gate * variance:
             e[i] = np.nan
 
@@ -327,7 +345,7 @@ def run(
     z, late, noise : ndarray, shape (m, 5), (m, 2), (m, 5, 2)
         See `fix_rows`.
     still : ndarray, shape (m,)
-        1 where the vehicle stands.
+        1 where the vehicle seems to stand; becomes 0 where it speeds up or brakes nevertheless.
     density : ndarray, shape (m, 2)
         Of the interval before each epoch; see `advance`.
     arm, weights
@@ -341,7 +359,11 @@ def run(
     """
     m = sample.size
     places, speeds, attitudes, slows = np.empty((m, 3)), np.empty((m, 3)), np.empty((m, 3, 3)), np.empty((m, SLOW))
-    P_prior, P_after, Phis = (np.empty((m, STATES, STATES)), np.empty((m, STATES, STATES)), np.empty((m, STATES, STATES)))
+    P_prior, P_after, Phis = (
+        np.empty((m, STATES, STATES)),
+        np.empty((m, STATES, STATES)),
+        np.empty((m, STATES, STATES)),
+    )
     corrections, slow, half = np.zeros((m, STATES)), np.zeros(SLOW), np.zeros((STATES, STATES))
     e, H, s, r, chi2 = np.empty(ROWS), np.zeros((ROWS, STATES)), np.empty(ROWS), np.empty(ROWS), np.empty(ROWS)
     left_out, since = 0, np.inf
@@ -350,7 +372,7 @@ def run(
         e[:], H[:], s[:], r[:] = np.nan, 0.0, 1.0, 1.0
         if j > 0:
             a, b = sample[j - 1], sample[j]
-            spin = advance(
+            force, spin = advance(
                 place,
                 v,
                 C,
@@ -364,6 +386,8 @@ def run(
                 Phis[j],
                 half,
             )
+            if still[j] > 0.0 and speeds_up(force, Phis[j], P, float(t[b] - t[a]), density[j, 0], weights):
+                still[j] = 0.0
             if still[j] > 0.0:
                 rest_rows(v, spin, float(t[b] - t[a]), density[j, 1], weights, e, H, s, r)
             else:

@@ -254,9 +254,7 @@ class _Heading(NamedTuple):
         return np.interp(moments, self.t, self.course)
 
 
-def _measured(
-    moments: Floats, seen: Reports, place: Floats, noise: Floats, heading: _Heading
-) -> tuple[Floats, Floats]:
+def _measured(moments: Floats, seen: Reports, place: Floats, noise: Floats, heading: _Heading) -> tuple[Floats, Floats]:
     """Position and velocity of the fixes in T at their moments, and their variances, (k, 6) each; NaN elsewhere."""
     z, variance = np.full((moments.size, 6), np.nan), np.ones((moments.size, 6))
     row = np.minimum(np.searchsorted(moments, seen.t - 1e-3), moments.size - 1)

@@ -32,9 +32,11 @@ def run_reference(record: Record) -> tuple[Floats, Floats, Floats, Floats, Float
         if j > 0:
             part = slice(epochs.sample[j - 1], sample)
             period = float(record.t[sample] - record.t[part.start])
-            place, v, attitude, covariance, spin = _advance(record, part, j, place, v, attitude, slow[:6], covariance)
+            place, v, attitude, covariance, spin, pushed = _advance(
+                record, part, j, place, v, attitude, slow[:6], covariance
+            )
             slow = np.concatenate((slow[:6], np.exp(-period / weights.correlation) * slow[6:]))
-            if epochs.still[j] > 0.0:
+            if epochs.still[j] > 0.0 and not pushed:
                 _rest(rows, v, spin, epochs.density[j, 1] / period, weights)
             else:
                 _slip(rows, v, attitude, spin, record.arm, weights)
@@ -56,7 +58,7 @@ def run_reference(record: Record) -> tuple[Floats, Floats, Floats, Floats, Float
 
 def _advance(
     record: Record, part: slice, j: int, place: Floats, v: Floats, attitude: Floats, bias: Floats, covariance: Floats
-) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+) -> tuple[Floats, Floats, Floats, Floats, Floats, bool]:
     t = record.t[part.start : part.stop + 1]
     periods = np.diff(t)[:, None]
     increments = Increments(
@@ -81,7 +83,12 @@ def _advance(
     Phi[range(VEHICLE, STATES), range(VEHICLE, STATES)] = keep
     predicted = predict(np.zeros(STATES), covariance + half, Phi, half)
     place = np.array([track.lat[-1], track.lon[-1], track.height[-1]])
-    return place, track.velocity[-1], track.R_tb[-1], predicted.P, increments.rotation.sum(axis=0) / period
+    spin = increments.rotation.sum(axis=0) / period
+    slope = Phi[3:5, 6:VEHICLE] / period
+    expected = np.einsum("ij,jk,ik->i", slope, predicted.P[6:VEHICLE, 6:VEHICLE], slope)
+    expected += record.epochs.density[j, 0] / period + w.rest_push**2
+    pushed = bool(np.any(force[:2] ** 2 > w.gate * expected))
+    return place, track.velocity[-1], track.R_tb[-1], predicted.P, spin, pushed
 
 
 def _fix(rows: Rows, place: Floats, v: Floats, slow: Floats, z: Floats, late: Floats, noise: Floats) -> None:
