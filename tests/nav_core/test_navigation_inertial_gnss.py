@@ -12,6 +12,7 @@ from nav_core.kalman import normalised
 from nav_core.navigation import NoGyroError, Receiver, Vehicle, inertial_gnss, kernels, navigate, reference
 from nav_core.records import Inertial
 from nav_core.rotation import rotvec_to_matrix
+from tests.nav_core import python_ins
 from tests.nav_core.drives_on_the_globe import errors, world
 
 
@@ -52,6 +53,24 @@ def test_the_kernel_agrees_with_the_matrices():
         ("place", "v", "C", "bias", "P", "dx"), (places, v, C, bias, P, dx), expected, strict=True
     ):
         assert ours == pytest.approx(theirs, abs=1e-7 * max(1.0, float(np.abs(theirs).max()))), name
+
+
+@pytest.mark.slow
+def test_python_ins_finds_the_same_track_biases_and_sigmas():
+    record = python_ins.comparable(python_ins.comparable_world(4, duration=40.0))
+    ours = python_ins.run_ours(record)
+    t = record.t[record.epochs.sample]
+    theirs = python_ins.read(python_ins.peer(record)(), t)
+    # Its sigmas stand at fixes; the last tenth of a second it only integrates.
+    fixed = np.flatnonzero(np.isfinite(record.epochs.z[:, 0]) & (t < t[-1] - 0.2))[8:]
+    off = (ours.values - theirs.values)[fixed]
+    off[:, :2] *= np.radians(6.37e6) * np.array([1.0, np.cos(record.start.place[0])])
+    off[:, 6:9] = np.mod(off[:, 6:9] + np.pi, 2.0 * np.pi) - np.pi
+    apart = np.sqrt(np.mean((off / theirs.sigma[fixed]) ** 2, axis=0))
+    ratio = (ours.sigma / theirs.sigma)[fixed]
+    print(f"differences in sigmas, rms {apart.round(3)}; sigmas by theirs {ratio.min():.4f} to {ratio.max():.4f}")
+    assert apart.max() < 0.1
+    assert ratio == pytest.approx(1.0, abs=0.03)
 
 
 def test_perfect_instruments_give_the_drive_back():
