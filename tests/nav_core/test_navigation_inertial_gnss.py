@@ -44,7 +44,7 @@ def test_the_kernel_agrees_with_the_matrices():
     gnss = seen.drive.gnss
     jump = ((gnss.t > 30.0) & (gnss.t < 33.0)) | (gnss.t > 52.0)
     gnss = replace(gnss, lat=gnss.lat + jump * 80.0 / 6.37e6)
-    record = prepared(seen._replace(drive=replace(seen.drive, gnss=gnss)))
+    record = prepared(seen._replace(drive=replace(seen.drive, gnss=gnss)), vehicle=Vehicle(arm=(-1.2, 0.3, 0.4)))
     places, v, C, bias, _, P, _, dx, left_out = run_kernel(record)
     assert left_out > 30
     assert record.epochs.still.any()
@@ -53,6 +53,16 @@ def test_the_kernel_agrees_with_the_matrices():
         ("place", "v", "C", "bias", "P", "dx"), (places, v, C, bias, P, dx), expected, strict=True
     ):
         assert ours == pytest.approx(theirs, abs=1e-7 * max(1.0, float(np.abs(theirs).max()))), name
+
+
+def test_the_slip_free_point_is_where_the_arm_says():
+    C, spin, arm = rotvec_to_matrix(np.array([0.1, -0.2, 2.0])), np.array([0.1, -0.05, 0.4]), np.array([-1.5, 0.2, 0.6])
+    # The point moves straight ahead, the box on its rigid arm does not.
+    v = C @ (np.array([9.0, 0.0, 0.0]) - np.cross(spin, arm))
+    e, H, s, r = np.full(13, np.nan), np.zeros((13, 20)), np.ones(13), np.ones(13)
+    kernels.slip_rows(v, C, tuple(spin), arm, Vehicle().weights(Receiver()), e, H, s, r)
+    assert e[5:7] == pytest.approx(np.zeros(2), abs=1e-12)
+    assert np.abs((C.T @ v)[1:]).max() > 0.5
 
 
 @pytest.mark.slow
