@@ -28,8 +28,8 @@ check: setup node_modules/ready  ## Lint, types, architecture, JavaScript, migra
 	node_modules/.bin/tsc -p web/jsconfig.json
 	$(BIN)/scatola migrate --check
 
-bench: setup  ## Speed of the numerics and of the ingest path
-	$(BIN)/python benchmarks/run.py
+bench: setup  ## Speed of the numerics and of the ingest path; WRITE=docs/performance.md keeps the tables
+	$(BIN)/python benchmarks/run.py $(if $(WRITE),--write $(WRITE))
 
 bench-mounting: setup  ## Over 2000 simulated drives: docs/mounting-benchmark.md (resumable, half an hour)
 	$(BIN)/python benchmarks/mounting.py

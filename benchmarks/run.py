@@ -1,35 +1,59 @@
-"""`make bench`: what the hot paths cost on this machine, in one process, best of a few runs.
+"""`make bench`: what the hot paths cost on this machine, best of a few runs, and the peers on the same data.
 
-Prints a table; the figures that the README and docs quote come from here.
+Prints a table; with `--write docs/performance.md` it becomes that page.  Each area's script also runs alone.
 """
 
 from __future__ import annotations
 
+import argparse
 import os
 import platform
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from timing import best
+from timing import Row, best, markdown, print_rows
 
 from server.settings import set_numba_cache_dir
 
+PREFACE = """# Performance
+
+Written by `make bench WRITE=docs/performance.md`. Machine: {machine}. Each figure is the shortest of several runs in
+one process, compilation not counted; where a peer is named, both worked on the same data in the same run. Other work
+on the machine makes single figures up to twice as large.
+"""
+
 
 def main() -> None:
-    """Measure and print, area by area; each area's script also runs alone."""
+    """Measure and print, area by area."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--write", type=Path, metavar="PAGE.md")
+    page = parser.parse_args().write
     set_numba_cache_dir()
     import attitude
     import navigation
     import sensors
     import strapdown
+    import whole_process
 
-    print(f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}")
-    for rows in (service, strapdown.rows, sensors.rows, attitude.rows, navigation.rows):
-        for name, value, unit in rows():
-            print(f"{name:<60}{value:>12.4g} {unit}")
+    machine = f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"
+    print(machine)
+    sections = [PREFACE.format(machine=machine)]
+    for title, rows in (
+        ("Service", service),
+        ("Strapdown", strapdown.rows),
+        ("Sensors", sensors.rows),
+        ("Attitude", attitude.rows),
+        ("GPS/INS and Kalman filters", navigation.rows),
+        ("Whole processes (processor time): start, imports, data, work", whole_process.rows),
+    ):
+        found = rows()
+        print_rows(found)
+        sections.append(markdown(title, found))
+    if page is not None:
+        page.write_text("\n".join(sections), encoding="utf-8")
 
 
-def service() -> list[tuple[str, float, str]]:
+def service() -> list[Row]:
     """Mounting, conditioning and formats."""
     from nav_core.mounting import estimate_mounting, whole_drive
     from nav_core.mounting.thesis import estimate_thesis
@@ -47,16 +71,22 @@ def service() -> list[tuple[str, float, str]]:
         path = Path(folder) / "hour.parquet"
         write_drive_file(path, from_drive(hour))
         return [
-            ("simulate 300 s at 200 Hz", best(lambda: simulate(Scenario(duration=300.0), seed=2)), "s"),
-            ("decimate 1 h of 200 Hz to 10 Hz", best(lambda: decimate(hour.inertial)), "s"),
-            ("whole-drive estimate, 1 h of ticks", best(lambda: whole_drive.estimate(ticks, hour.gnss), repeat=3), "s"),
-            (
+            Row("simulate 300 s at 200 Hz", best(lambda: simulate(Scenario(duration=300.0), seed=2)), "s"),
+            Row("decimate 1 h of 200 Hz to 10 Hz", best(lambda: decimate(hour.inertial)), "s"),
+            Row(
+                "whole-drive estimate, 1 h of ticks",
+                best(lambda: whole_drive.estimate(ticks, hour.gnss), repeat=3),
+                "s",
+            ),
+            Row(
                 "Parquet file of 1 h at 200 Hz to a mounting",
                 best(lambda: estimate_mounting(read_drive_file(path)), repeat=3),
                 "s",
             ),
-            ("thesis filter, 1 h at 4 Hz, per fix", 1e6 * best(lambda: estimate_thesis(hour)) / steps, "µs"),
-            ("Parquet batch of 60 s at 200 Hz to a drive", best(lambda: to_drive(Columns.from_parquet(packed))), "s"),
+            Row("thesis filter, 1 h at 4 Hz, per fix", 1e6 * best(lambda: estimate_thesis(hour)) / steps, "µs"),
+            Row(
+                "Parquet batch of 60 s at 200 Hz to a drive", best(lambda: to_drive(Columns.from_parquet(packed))), "s"
+            ),
         ]
 
 

@@ -6,11 +6,11 @@ import warnings
 from collections.abc import Callable
 
 import numpy as np
-from timing import best
+from timing import Row, best, print_rows
 
 
-def rows() -> list[tuple[str, float, str]]:
-    """Name, value and unit of each measurement, all on one simulated drive of 10 min at 100 Hz."""
+def rows() -> list[Row]:
+    """All on one simulated drive of 10 min at 100 Hz."""
     import pandas as pd
 
     from nav_core import earth
@@ -38,10 +38,10 @@ def rows() -> list[tuple[str, float, str]]:
         ("e", lambda: kernels.run_cartesian(*cartesian, *driven, True, False)),
         ("i", lambda: kernels.run_cartesian(*cartesian, *driven, True, True)),
     ]
-    measured = [(f"strapdown step, {name}", 1e6 * best(run) / n, "µs") for name, run in runs]
+    measured = [Row(f"strapdown step, {name}", 1e6 * best(run) / n, "µs", "≤ 1 µs") for name, run in runs]
     angle, thrust = increments.rotation, increments.velocity
     gathered = best(lambda: from_integrals(increments.t, angle, thrust))
-    measured.append(("coning and sculling, per reading", 1e6 * gathered / n, "µs"))
+    measured.append(Row("coning and sculling, per reading", 1e6 * gathered / n, "µs"))
 
     names = ["lat", "lon", "alt", "VN", "VE", "VD", "roll", "pitch", "heading"]
     pva = pd.Series([*np.degrees(place[:2]), 240.0, *v, *transform.mat_to_rph(C)], index=names)
@@ -53,15 +53,9 @@ def rows() -> list[tuple[str, float, str]]:
             warnings.simplefilter("ignore")
             return peer.Integrator(pva, with_altitude=False).integrate(table)
 
-    measured.append(("python-ins, per step with its table", 1e6 * best(peers, repeat=3) / n, "µs"))
+    measured.append(Row("python-ins, per step with its table", 1e6 * best(peers, repeat=3) / n, "µs"))
     return measured
 
 
-def main() -> None:
-    """Print the table."""
-    for name, value, unit in rows():
-        print(f"{name:<48}{value:>12.4g} {unit}")
-
-
 if __name__ == "__main__":
-    main()
+    print_rows(rows())

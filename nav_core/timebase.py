@@ -231,6 +231,36 @@ def fit_clock(t: Floats, utc: Floats) -> ClockFit:
     )
 
 
+def fit_pulses(t: Floats, coarse: ClockFit, *, lag: float = 0.0, longest_error: float = 0.4) -> ClockFit:
+    """Clock by the receiver's pulse per second, which has no lag (000 §§7.1.1, 9).
+
+    Parameters
+    ----------
+    t : ndarray, shape (n,)
+        Box clock at the pulses, s; some may be missing.
+    coarse : ClockFit
+        Of the fixes (`fit_clock`): says which second each pulse begins.
+    lag : float
+        Of the fixes, s, as far as it is known (`MountingEstimate.speed_lag`): to half a second, or the seconds are
+        counted wrong.
+    longest_error : float
+        s from a whole second beyond which a pulse could belong to either and is left out.
+
+    Returns
+    -------
+    ClockFit
+        The difference of its `utc` and that of `coarse` is the lag of the fixes.
+
+    Raises
+    ------
+    TooLittleDataError
+        Without a pulse that can be told.
+    """
+    said = coarse.utc(t) + lag
+    second = np.round(said)
+    return fit_clock(t, np.where(np.abs(said - second) <= longest_error, second, np.nan))
+
+
 class _Line(NamedTuple):
     residual: Floats
     offset: float

@@ -4,6 +4,6 @@ import warnings
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")
-    from pyins import earth, strapdown, transform
+    from pyins import earth, filters, inertial_sensor, measurements, strapdown, transform
 
-__all__ = ["earth", "strapdown", "transform"]
+__all__ = ["earth", "filters", "inertial_sensor", "measurements", "strapdown", "transform"]

@@ -5,8 +5,10 @@ Earth's turning, and says so where they do not.  With a magnetometer, `master_sl
 the field and lets gravity rule: for alignment and after a reset (000 section 7.6.3).  `gauss_newton` weights both and
 takes either's error: for use in motion, where gravity is disturbed.  `wahba` is the same for any set of directions;
 `triad` is the master-slave idea for any two.  `align` looks for rest in a recording and does what its sensors allow.
+`check_level` and `orientations` are the installation by hand.
 """
 
+from nav_core.alignment.by_hand import LevelCheck, check_level, largest_tilt, orientations, tilt_errors
 from nav_core.alignment.directions import Attitude, WahbaFit, triad, wahba
 from nav_core.alignment.levelling import Gyrocompass, Levelling, gyrocompass, level, mean_sigma, tilt
 from nav_core.alignment.magnetic import GaussNewtonFit, gauss_newton, master_slave
@@ -17,17 +19,22 @@ __all__ = [
     "Attitude",
     "GaussNewtonFit",
     "Gyrocompass",
+    "LevelCheck",
     "Levelling",
     "Place",
     "Trust",
     "WahbaFit",
     "align",
+    "check_level",
     "gauss_newton",
     "gyrocompass",
+    "largest_tilt",
     "level",
     "master_slave",
     "mean_sigma",
+    "orientations",
     "tilt",
+    "tilt_errors",
     "triad",
     "wahba",
 ]

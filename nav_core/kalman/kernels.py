@@ -58,17 +58,30 @@ def propagate_state(x: Floats, Phi: Floats) -> None:
 
 
 @kernel
+def projected(P: Floats, h: Floats) -> Floats:
+    """``P h`` of a symmetric `P`; zeros of `h`, of which a measurement row mostly consists, cost nothing."""
+    n = P.shape[0]
+    Ph = np.zeros(n)
+    for j in range(n):
+        factor = h[j]
+        if factor != 0.0:
+            for i in range(n):
+                Ph[i] += P[j, i] * factor
+    return Ph
+
+
+@kernel
 def joseph_scalar(P: Floats, h: Floats, r: float, gain: Floats) -> None:
     """Replace `P` by ``(I - k h') P (I - k h')' + k r k'``, valid for any gain (000 eq. 3.11.24, one measurement)."""
     n = P.shape[0]
-    row = np.zeros(n)
+    row = projected(P, h)
+    seen = np.flatnonzero(h)
     for i in range(n):
-        for j in range(n):
-            row[j] += h[i] * P[i, j]
-    for i in range(n):
-        column = 0.0
         for j in range(n):
             P[i, j] -= gain[i] * row[j]
+        # From the rows just changed: written out in full, the difference of large numbers would lose its digits.
+        column = 0.0
+        for j in seen:
             column += P[i, j] * h[j]
         rest = gain[i] * r - column
         for j in range(n):
@@ -101,11 +114,8 @@ def update_scalar(dx: Floats, P: Floats, residual: float, h: Floats, r: float, g
         Squared normalised innovation; with its sign turned when the measurement was left out.
     """
     n = dx.shape[0]
-    gain = np.zeros(n)
+    gain = projected(P, h)
     variance, innovation = r, residual
-    for i in range(n):
-        for j in range(n):
-            gain[i] += P[i, j] * h[j]
     for i in range(n):
         variance += h[i] * gain[i]
         innovation -= h[i] * dx[i]

@@ -25,8 +25,8 @@ class Receiver:
         1 sigma of speed and, across the track, of course times speed, m/s.
     correlation : float
         Time over which the errors of neighbouring fixes are alike, s.
-    velocity_share : float
-        Share of the variance of speed and course that counts as correlated; of position it is all.
+    position_share, velocity_share : float
+        Share of the variance, of position and height and of speed and course, that is correlated; the rest is white.
     max_hdop : float
         Fixes beyond it are left out.
     typical_hdop : float
@@ -42,7 +42,8 @@ class Receiver:
     speed: float = 0.08
     across: float = 0.08
     correlation: float = 4.0
-    velocity_share: float = 0.25
+    position_share: float = 0.99
+    velocity_share: float = 0.5
     max_hdop: float = 6.0
     typical_hdop: float = 1.0
     min_sats: float = 4.0
@@ -52,8 +53,14 @@ class Receiver:
         for name in ("position", "height", "speed", "across", "correlation", "typical_hdop"):
             if not getattr(self, name) > 0.0:
                 raise RangeError(name, getattr(self, name), "> 0")
-        if not 0.0 <= self.velocity_share <= 1.0:
-            raise RangeError("velocity_share", self.velocity_share, "0..1")
+        for name in ("position_share", "velocity_share"):
+            if not 0.0 <= getattr(self, name) < 1.0:
+                raise RangeError(name, getattr(self, name), "0 or more and less than 1")
+
+    @property
+    def correlated(self) -> Floats:
+        """Correlated share of north, east, height, speed and course, shape (5,)."""
+        return np.repeat([self.position_share, self.velocity_share], [3, 2])
 
 
 def believable(gnss: Gnss, receiver: Receiver) -> Flags:
@@ -76,7 +83,7 @@ class Reports(NamedTuple):
     z : ndarray, shape (n, 5)
         Latitude, longitude (rad), height (m), speed (m/s), course (rad); NaN where not measured or not to be used.
     noise : ndarray, shape (n, 5, 2)
-        Variances: of one fix, and as a filter must take it that knows nothing of the correlation.
+        Variances: of the error as a whole, and of its white part; the rest is correlated over `Receiver.correlation`.
     """
 
     t: Floats
@@ -98,11 +105,6 @@ def reports(gnss: Gnss, receiver: Receiver, *, speed_lag: float = 0.0, course_la
     Returns
     -------
     Reports
-
-    Notes
-    -----
-    Noise with variance s² and correlation time T has the same effect over long times as white noise of variance
-    ``s² 2 T / dt`` at fixes `dt` apart (the density of a Gauss-Markov process at zero frequency, 000 eq. 3.9.6).
     """
     good = believable(gnss, receiver)
     t = gnss.t[good]
@@ -111,7 +113,16 @@ def reports(gnss: Gnss, receiver: Receiver, *, speed_lag: float = 0.0, course_la
     sigma = np.array([receiver.position, receiver.position, receiver.height, receiver.speed, receiver.across])
     hdop = np.ones(t.size) if gnss.hdop is None else np.nan_to_num(gnss.hdop[good], nan=receiver.typical_hdop)
     alone = (np.maximum(hdop / receiver.typical_hdop, 1.0)[:, None] * sigma) ** 2
-    period = float(np.median(np.diff(t))) if t.size > 1 else np.inf
-    common = np.array([1.0, 1.0, 1.0, receiver.velocity_share, receiver.velocity_share])
-    grown = 1.0 - common + common * max(2.0 * receiver.correlation / period, 1.0)
-    return Reports(t - speed_lag, t - course_lag, z, np.stack((alone, alone * grown), axis=2))
+    white = alone * (1.0 - receiver.correlated)
+    return Reports(t - speed_lag, t - course_lag, z, np.stack((alone, white), axis=2))
+
+
+def as_white(seen: Reports, receiver: Receiver) -> Floats:
+    """Variances for a filter that takes all noise for white, shape (n, 5).
+
+    Noise with variance s² and correlation time T has the same effect over long times as white noise of variance
+    ``s² 2 T / dt`` at fixes `dt` apart (the density of a Gauss-Markov process at zero frequency, 000 eq. 3.9.6).
+    """
+    period = float(np.median(np.diff(seen.t))) if seen.t.size > 1 else np.inf
+    alone, white = seen.noise[..., 0], seen.noise[..., 1]
+    return white + (alone - white) * max(2.0 * receiver.correlation / period, 1.0)

@@ -1,7 +1,8 @@
 """Inertial navigation corrected by GPS: 15 states, closed loop, with the constraints of a wheeled vehicle, smoothed.
 
 Beyond 000 §7.7.2, which takes the attitude as known: here position, velocity, attitude and the biases of accelerometer
-and gyro are estimated together, so that a bias learnt while GPS lasts carries through an outage (Groves 2013 ch. 14).
+and gyro are estimated together, so that a bias learnt while GPS lasts carries through an outage (Groves 2013 ch. 14),
+and so is what neighbouring fixes err by in common (000 §3.10), so that it is not taken for motion.
 """
 
 from __future__ import annotations
@@ -78,12 +79,13 @@ class Vehicle:
             if not getattr(self, name) > 0.0:
                 raise RangeError(name, getattr(self, name), "> 0")
 
-    def weights(self) -> Weights:
+    def weights(self, receiver: Receiver) -> Weights:
         """For the kernel, with the times over which slip (1 s), mounting (30 s) and rest (1 s) repeat themselves."""
         epoch = 0.1
         return Weights(
             accel_walk=self.accel_walk**2,
             gyro_walk=self.gyro_walk**2,
+            correlation=receiver.correlation,
             sideways=self.sideways,
             downwards=self.downwards,
             slip_repeat=2.0 * 1.0 / epoch,
@@ -93,6 +95,7 @@ class Vehicle:
             rest=0.05,
             rest_repeat=2.0 * 1.0 / epoch,
             rest_rate=5e-4,
+            rest_push=0.1,
             gate=gate(1, 0.9995),
             relent=8.0,
         )
@@ -109,7 +112,7 @@ class Start(NamedTuple):
         Latitude, longitude (rad), height (m); north, east, down, m/s.
     C : ndarray, shape (3, 3)
         Attitude of the vehicle, level on its course.
-    P : ndarray, shape (15, 15)
+    P : ndarray, shape (20, 20)
     """
 
     sample: int
@@ -188,8 +191,8 @@ def navigate(
         speed_lag=speed_lag,
         course_lag=course_lag,
     )
-    start, epochs = record.start, record.epochs
-    places, v, attitudes, bias, P_prior, P, Phi, dx, left_out = kernels.run(
+    start, epochs = record.start, record.epochs._replace(still=record.epochs.still.copy())
+    places, v, attitudes, slow, P_prior, P, Phi, dx, left_out = kernels.run(
         record.t,
         record.increments.rotation,
         record.increments.velocity,
@@ -205,9 +208,10 @@ def navigate(
         e = np.zeros_like(dx)
         # Corrections are already in the estimate: seen from it, each prediction stood at minus its correction.
         smooth_backwards(-dx, P_prior, e, P, Phi[1:])
-        places, v, attitudes, bias = moved(places, v, attitudes, bias, e)
+        places, v, attitudes, slow = moved(places, v, attitudes, slow, e)
+    covariance = P[:, : kernels.VEHICLE, : kernels.VEHICLE].copy()
     # The triad navigated is the box turned by its mounting: what that errs by, the attitude of the vehicle errs by.
-    P[:, range(6, 9), range(6, 9)] += record.weights.mount**2
+    covariance[:, range(6, 9), range(6, 9)] += record.weights.mount**2
     return Solution(
         "inertial-gnss",
         smoothed,
@@ -217,8 +221,8 @@ def navigate(
         places[:, 2],
         v,
         attitudes,
-        P,
-        bias,
+        covariance,
+        slow[:, :6],
         epochs.still,
         record.fixes,
         int(left_out),
@@ -242,7 +246,7 @@ def prepare(
         raise TooLittleDataError("samples after the first moving fix", int(t.size), 4)
     epochs = epochs_of(t, f, w, seen, force_noise=vehicle.force_noise, rate_noise=vehicle.rate_noise)
     fixes = int(np.count_nonzero(np.isfinite(epochs.z[:, 0])))
-    return Record(t, from_rates(t, w, f), epochs, start, np.array(vehicle.arm), vehicle.weights(), fixes)
+    return Record(t, from_rates(t, w, f), epochs, start, np.array(vehicle.arm), vehicle.weights(receiver), fixes)
 
 
 def _start(t: Floats, seen: Reports, vehicle: Vehicle) -> Start:
@@ -254,8 +258,9 @@ def _start(t: Floats, seen: Reports, vehicle: Vehicle) -> Start:
     first = int(np.argmax(usable))
     lat, lon, height, speed, course = seen.z[first]
     variances = seen.noise[first, :, 0]
-    P = np.zeros((15, 15))
-    P[range(3), range(3)] = variances[:3]
+    P = np.eye(kernels.STATES)
+    # Wide, for the place is that of a fix which the filter reads as well, with the same error.
+    P[range(3), range(3)] = 100.0 * variances[:3]
     P[range(3, 6), range(3, 6)] = 0.5**2
     P[range(6, 8), range(6, 8)] = vehicle.tilt**2
     # Besides noise, the box swings about the slip-free point, and the course may lag by more than was said.
@@ -271,8 +276,8 @@ def _start(t: Floats, seen: Reports, vehicle: Vehicle) -> Start:
     )
 
 
-def moved(places: Floats, v: Floats, C: Floats, bias: Floats, e: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-    """Put errors `e` (n, 15), truth minus estimate, into a whole track; what `kernels.apply` does at one epoch."""
+def moved(places: Floats, v: Floats, C: Floats, slow: Floats, e: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+    """Put errors `e` (n, 20), truth minus estimate, into a whole track; what `kernels.apply` does at one epoch."""
     meridian, normal = earth.radii(places[:, 0])
     shift = np.stack(
         (
@@ -282,4 +287,4 @@ def moved(places: Floats, v: Floats, C: Floats, bias: Floats, e: Floats) -> tupl
         ),
         axis=1,
     )
-    return places + shift, v + e[:, 3:6], rotvec_to_matrix(e[:, 6:9]) @ C, bias + e[:, 9:]
+    return places + shift, v + e[:, 3:6], rotvec_to_matrix(e[:, 6:9]) @ C, slow + e[:, 9:]

@@ -1,8 +1,10 @@
-"""The 15-state error-state filter over a record, compiled.
+"""The error-state filter over a record, compiled: 15 states of the vehicle and 5 of the receiver.
 
 States are truth minus estimate: position and velocity in T axes (m, m/s), the rotation vector of the attitude about the
-T axes (rad; ``R_true = exp([psi]x) R``), biases of accelerometer and gyro in V axes (m/s², rad/s).  Corrections go
-back into position, velocity, attitude and biases at once, so that the error states are zero between epochs.
+T axes (rad; ``R_true = exp([psi]x) R``), biases of accelerometer and gyro in V axes (m/s², rad/s), and what
+the receiver's fixes err by in common with their neighbours: north, east, down, along and across the track, each in
+units of its sigma.  Biases and receiver's errors together are the array `slow` (11,).  Corrections go back into the
+estimates at once, so that the error states are zero between epochs.
 """
 
 from __future__ import annotations
@@ -12,11 +14,15 @@ from typing import NamedTuple
 import numpy as np
 
 from nav_core.attitude.kernels import Vector, cross, turn
-from nav_core.kalman.kernels import propagate_covariance, update_sequential
+from nav_core.kalman.kernels import projected, propagate_covariance, update_sequential
 from nav_core.strapdown.kernels import curvatures, step_local
 from nav_core.typing import Floats, Integers, kernel
 
-STATES = 15
+STATES = 20
+VEHICLE = 15
+"""Of them those of the vehicle, which come first."""
+SLOW = STATES - 9
+"""Those that keep their value, or forget it slowly, while the vehicle moves."""
 ROWS = 13
 """Position north, east, down; speed; course; sideways and down velocity; velocity and rate at rest, three each."""
 
@@ -31,6 +37,8 @@ class Weights(NamedTuple):
     ----------
     accel_walk, gyro_walk : float
         Random walk of the biases, (m/s²)²/s and (rad/s)²/s.
+    correlation : float
+        Of the receiver's errors, s.
     sideways, downwards : float
         1 sigma of the velocity of the slip-free point across and normal to the vehicle, m/s.
     slip_repeat : float
@@ -45,6 +53,8 @@ class Weights(NamedTuple):
         Velocity at rest, m/s, 1 sigma, and its repetition.
     rest_rate : float
         Turning at rest, rad/s, 1 sigma.
+    rest_push : float
+        Mean acceleration over an epoch at rest, m/s², 1 sigma: people and suspension.
     gate : float
         Squared normalised innovation beyond which a measurement is left out.
     relent : float
@@ -53,6 +63,7 @@ class Weights(NamedTuple):
 
     accel_walk: float
     gyro_walk: float
+    correlation: float
     sideways: float
     downwards: float
     slip_repeat: float
@@ -62,20 +73,22 @@ class Weights(NamedTuple):
     rest: float
     rest_repeat: float
     rest_rate: float
+    rest_push: float
     gate: float
     relent: float
 
 
 @kernel
-def transition_of(force: Vector, C: Floats, T: float, Phi: Floats) -> None:
-    """Write ``I + F T + F² T²/2`` of the error states into `Phi` (15, 15).
+def transition_of(force: Vector, C: Floats, T: float, keep: float, Phi: Floats) -> None:
+    """Write ``I + F T + F² T²/2`` of the error states into `Phi` (20, 20).
 
-    `force` is the mean specific force in T axes, `C` (3, 3) the mean attitude.  Terms of Earth rate, transport and the
-    gravity gradient are left out: over the seconds between fixes they are a thousand times below the biases.
+    `force` is the mean specific force in T axes, `C` (3, 3) the mean attitude, `keep` what is left of the receiver's
+    errors after `T` s.  Terms of Earth rate, transport and the gravity gradient are left out: over the seconds between
+    fixes they are a thousand times below the biases.
     """
     Phi[:] = 0.0
     for i in range(STATES):
-        Phi[i, i] = 1.0
+        Phi[i, i] = 1.0 if i < VEHICLE else keep
     for i in range(3):
         Phi[i, 3 + i] = T
         for j in range(3):
@@ -105,12 +118,22 @@ def rotate_back(C: Floats, v: Vector) -> Vector:
 
 @kernel
 def fix_rows(
-    place: Floats, v: Floats, z: Floats, late: Floats, noise: Floats, e: Floats, H: Floats, s: Floats, r: Floats
+    place: Floats,
+    v: Floats,
+    slow: Floats,
+    z: Floats,
+    late: Floats,
+    noise: Floats,
+    e: Floats,
+    H: Floats,
+    s: Floats,
+    r: Floats,
 ) -> None:
     """Rows 0-4: position, speed and course of a fix `z` (lat, lon, height, speed, course; NaN where not measured).
 
     `late` (2,) is by how much position and speed, and course, are younger than the epoch, s; `noise` (5, 2) their
-    variances, alone and as the filter takes them.  Course counts as metres per second across the track.
+    variances, as a whole and of the white part.  Course counts as metres per second across the track.  The gate
+    judges by the whole: another satellite may begin a new common error at any fix.
     """
     along, across = curvatures(np.sin(place[0]), place[2])
     e[0] = (z[0] - place[0]) / along - v[0] * late[0]
@@ -118,18 +141,18 @@ def fix_rows(
     e[2] = place[2] - z[2] - v[2] * late[0]
     for i in range(3):
         H[i, i] = 1.0
-        s[i], r[i] = noise[i, 0], noise[i, 1]
     speed = np.hypot(v[0], v[1])
-    if speed < SLOWEST:
-        return
-    north, east = v[0] / speed, v[1] / speed
-    e[3] = z[3] - speed
-    H[3, 3], H[3, 4] = north, east
-    off = z[4] - np.arctan2(v[1], v[0])
-    e[4] = speed * np.arctan2(np.sin(off), np.cos(off))
-    H[4, 3], H[4, 4] = -east, north
-    for i in range(3, 5):
+    if speed >= SLOWEST:
+        north, east = v[0] / speed, v[1] / speed
+        e[3] = z[3] - speed
+        H[3, 3], H[3, 4] = north, east
+        off = z[4] - np.arctan2(v[1], v[0])
+        e[4] = speed * np.arctan2(np.sin(off), np.cos(off))
+        H[4, 3], H[4, 4] = -east, north
+    for i in range(5):
         s[i], r[i] = noise[i, 0], noise[i, 1]
+        H[i, VEHICLE + i] = np.sqrt(noise[i, 0] - noise[i, 1])
+        e[i] -= H[i, VEHICLE + i] * slow[6 + i]
 
 
 @kernel
@@ -177,8 +200,8 @@ def rest_rows(
 
 
 @kernel
-def apply(place: Floats, v: Floats, C: Floats, bias: Floats, dx: Floats) -> None:
-    """Put an error estimate into position, velocity, attitude and biases."""
+def apply(place: Floats, v: Floats, C: Floats, slow: Floats, dx: Floats) -> None:
+    """Put an error estimate into position, velocity, attitude, biases and receiver's errors."""
     along, across = curvatures(np.sin(place[0]), place[2])
     place[1] += dx[1] * across / np.cos(place[0])
     place[0] += dx[0] * along
@@ -186,8 +209,8 @@ def apply(place: Floats, v: Floats, C: Floats, bias: Floats, dx: Floats) -> None
     for i in range(3):
         v[i] += dx[3 + i]
     turn(C, (-dx[6], -dx[7], -dx[8]), (0.0, 0.0, 0.0))
-    for i in range(6):
-        bias[i] += dx[9 + i]
+    for i in range(SLOW):
+        slow[i] += dx[9 + i]
 
 
 @kernel
@@ -195,7 +218,7 @@ def advance(
     place: Floats,
     v: Floats,
     C: Floats,
-    bias: Floats,
+    slow: Floats,
     P: Floats,
     rotation: Floats,
     velocity: Floats,
@@ -204,10 +227,12 @@ def advance(
     weights: Weights,
     Phi: Floats,
     half: Floats,
-) -> Vector:
-    """Navigate over the samples between two epochs and predict; returns the mean angular rate, V axes, rad/s.
+) -> tuple[Vector, Vector]:
+    """Navigate over the samples between two epochs and predict.
 
-    `density` (2,) holds the white noise of specific force and rate, (m/s²)²s and (rad/s)²s; `half` (15, 15) is zero
+    Returns the mean specific force, T axes, m/s², and the mean angular rate, V axes, rad/s.
+
+    `density` (2,) holds the white noise of specific force and rate, (m/s²)²s and (rad/s)²s; `half` (20, 20) is zero
     off its diagonal.  Half of the noise enters at the start and half at the end: third order in the period.
     """
     turned, pushed = np.empty(3), np.empty(3)
@@ -217,22 +242,43 @@ def advance(
     for k in range(periods.size):
         dt = periods[k]
         for i in range(3):
-            turned[i] = rotation[k, i] - dt * bias[3 + i]
-            pushed[i] = velocity[k, i] - dt * bias[i]
+            turned[i] = rotation[k, i] - dt * slow[3 + i]
+            pushed[i] = velocity[k, i] - dt * slow[i]
         fx += C[0, 0] * pushed[0] + C[0, 1] * pushed[1] + C[0, 2] * pushed[2]
         fy += C[1, 0] * pushed[0] + C[1, 1] * pushed[1] + C[1, 2] * pushed[2]
         fz += C[2, 0] * pushed[0] + C[2, 1] * pushed[1] + C[2, 2] * pushed[2]
         wx, wy, wz = wx + turned[0], wy + turned[1], wz + turned[2]
         step_local(place, v, C, turned, pushed, dt, False)
     middle += 0.5 * C
-    transition_of((fx / T, fy / T, fz / T), middle, T, Phi)
+    keep = np.exp(-T / weights.correlation)
+    force = (fx / T, fy / T, fz / T)
+    transition_of(force, middle, T, keep, Phi)
+    for i in range(VEHICLE, STATES):
+        slow[i - 9] *= keep
+        half[i, i] = (1.0 - keep * keep) / (1.0 + keep * keep)
     for i in range(3):
         half[3 + i, 3 + i], half[6 + i, 6 + i] = 0.5 * T * density[0], 0.5 * T * density[1]
         half[9 + i, 9 + i], half[12 + i, 12 + i] = 0.5 * T * weights.accel_walk, 0.5 * T * weights.gyro_walk
     for i in range(STATES):
         P[i, i] += half[i, i]
     propagate_covariance(P, Phi, half)
-    return wx / T, wy / T, wz / T
+    return force, (wx / T, wy / T, wz / T)
+
+
+@kernel
+def speeds_up(force: Vector, Phi: Floats, P: Floats, T: float, noise: float, weights: Weights) -> bool:
+    """Whether the horizontal specific force is more than tilt, biases and rest explain: the vehicle is not at rest.
+
+    Calm sensors alone do not tell rest from smooth braking at walking pace.  `noise` is the density of the force.
+    """
+    for i in range(2):
+        variance = noise / T + weights.rest_push**2
+        for j in range(6, VEHICLE):
+            for k in range(6, VEHICLE):
+                variance += Phi[3 + i, j] * P[j, k] * Phi[3 + i, k] / (T * T)
+        if force[i] * force[i] > weights.gate * variance:
+            return True
+    return False
 
 
 @kernel
@@ -241,11 +287,7 @@ def strike(P: Floats, e: Floats, H: Floats, s: Floats, gate: float) -> None:
     for i in range(e.size):
         if np.isnan(e[i]):
             continue
-        variance = s[i]
-        for j in range(STATES):
-            if H[i, j] != 0.0:
-                for k in range(STATES):
-                    variance += H[i, j] * P[j, k] * H[i, k]
+        variance = s[i] + H[i] @ projected(P, H[i])
         if e[i] * e[i] > gate * variance:
             e[i] = np.nan
 
@@ -303,7 +345,7 @@ def run(
     z, late, noise : ndarray, shape (m, 5), (m, 2), (m, 5, 2)
         See `fix_rows`.
     still : ndarray, shape (m,)
-        1 where the vehicle stands.
+        1 where the vehicle seems to stand; becomes 0 where it speeds up or brakes nevertheless.
     density : ndarray, shape (m, 2)
         Of the interval before each epoch; see `advance`.
     arm, weights
@@ -312,25 +354,29 @@ def run(
     Returns
     -------
     tuple
-        Places (m, 3), velocities (m, 3), attitudes (m, 3, 3), biases (m, 6), covariances before and after the
-        update (m, 15, 15), transitions into each epoch (m, 15, 15), corrections (m, 15), fixes left out.
+        Places (m, 3), velocities (m, 3), attitudes (m, 3, 3), slow states (m, 11), covariances before and after the
+        update (m, 20, 20), transitions into each epoch (m, 20, 20), corrections (m, 20), fixes left out.
     """
     m = sample.size
-    places, speeds, attitudes, biases = np.empty((m, 3)), np.empty((m, 3)), np.empty((m, 3, 3)), np.empty((m, 6))
-    P_prior, P_after, Phis = np.empty((m, 15, 15)), np.empty((m, 15, 15)), np.empty((m, 15, 15))
-    corrections, bias, half = np.zeros((m, 15)), np.zeros(6), np.zeros((15, 15))
-    e, H, s, r, chi2 = np.empty(ROWS), np.zeros((ROWS, 15)), np.empty(ROWS), np.empty(ROWS), np.empty(ROWS)
+    places, speeds, attitudes, slows = np.empty((m, 3)), np.empty((m, 3)), np.empty((m, 3, 3)), np.empty((m, SLOW))
+    P_prior, P_after, Phis = (
+        np.empty((m, STATES, STATES)),
+        np.empty((m, STATES, STATES)),
+        np.empty((m, STATES, STATES)),
+    )
+    corrections, slow, half = np.zeros((m, STATES)), np.zeros(SLOW), np.zeros((STATES, STATES))
+    e, H, s, r, chi2 = np.empty(ROWS), np.zeros((ROWS, STATES)), np.empty(ROWS), np.empty(ROWS), np.empty(ROWS)
     left_out, since = 0, np.inf
-    Phis[0] = np.eye(15)
+    Phis[0] = np.eye(STATES)
     for j in range(m):
         e[:], H[:], s[:], r[:] = np.nan, 0.0, 1.0, 1.0
         if j > 0:
             a, b = sample[j - 1], sample[j]
-            spin = advance(
+            force, spin = advance(
                 place,
                 v,
                 C,
-                bias,
+                slow,
                 P,
                 rotation[a:b],
                 velocity[a:b],
@@ -340,12 +386,14 @@ def run(
                 Phis[j],
                 half,
             )
+            if still[j] > 0.0 and speeds_up(force, Phis[j], P, float(t[b] - t[a]), density[j, 0], weights):
+                still[j] = 0.0
             if still[j] > 0.0:
                 rest_rows(v, spin, float(t[b] - t[a]), density[j, 1], weights, e, H, s, r)
             else:
                 slip_rows(v, C, spin, arm, weights, e, H, s, r)
         P_prior[j] = P
-        fix_rows(place, v, z[j], late[j], noise[j], e, H, s, r)
+        fix_rows(place, v, slow, z[j], late[j], noise[j], e, H, s, r)
         strike(P, e[5:], H[5:], s[5:], weights.gate)
         now = float(t[sample[j]])
         if not np.isnan(e[0]):
@@ -357,6 +405,6 @@ def run(
         else:
             strike(P, e[:5], H[:5], s[:5], weights.gate)
         update_sequential(corrections[j], P, e, H, r, np.inf, chi2)
-        apply(place, v, C, bias, corrections[j])
-        places[j], speeds[j], attitudes[j], biases[j], P_after[j] = place, v, C, bias, P
-    return places, speeds, attitudes, biases, P_prior, P_after, Phis, corrections, left_out
+        apply(place, v, C, slow, corrections[j])
+        places[j], speeds[j], attitudes[j], slows[j], P_after[j] = place, v, C, slow, P
+    return places, speeds, attitudes, slows, P_prior, P_after, Phis, corrections, left_out

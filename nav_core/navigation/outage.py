@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from nav_core import earth
 from nav_core.errors import RangeError, ShapeError
@@ -98,4 +98,4 @@ def radius(solution: Solution, probability: float = 0.95) -> Floats:
 def _bound(probability: float) -> float:
     if not 0.0 < probability < 1.0:
         raise RangeError("probability", probability, "between 0 and 1")
-    return float(chi2.ppf(probability, 2))
+    return float(chdtri(2, 1.0 - probability))

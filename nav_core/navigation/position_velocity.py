@@ -16,7 +16,7 @@ from nav_core import earth
 from nav_core.errors import RangeError, ShapeError, TooLittleDataError
 from nav_core.kalman import State, filter_record, gate, smooth
 from nav_core.navigation.epochs import LONGEST_STEP, UNKNOWN_FORCE
-from nav_core.navigation.fixes import Receiver, Reports, reports
+from nav_core.navigation.fixes import Receiver, Reports, as_white, reports
 from nav_core.navigation.solution import Solution
 from nav_core.processes import transition_series
 from nav_core.records import Drive
@@ -195,7 +195,8 @@ def navigate_without_gyro(
     ShapeError
     """
     R_va = trailing("R_va", R_va, 3, 3)
-    seen = reports(drive.gnss, receiver or Receiver(), speed_lag=speed_lag, course_lag=course_lag)
+    receiver = receiver or Receiver()
+    seen = reports(drive.gnss, receiver, speed_lag=speed_lag, course_lag=course_lag)
     t = drive.inertial.t
     inside = (seen.t >= t[0]) & (seen.t <= t[-1]) if t.size else np.zeros(seen.t.size, dtype=np.bool_)
     with_course = np.isfinite(seen.z[:, 4]) & inside
@@ -213,7 +214,8 @@ def navigate_without_gyro(
     integrated = np.column_stack([np.interp(moments, t, column) for column in motion.T])
     meridian, normal = (float(radius) for radius in earth.radii(lat))
     scale = np.array([meridian + height, (normal + height) * np.cos(lat), -1.0])
-    z, variance = _measured(moments, seen, scale * (seen.z[:, :3] - [lat, lon, height]), heading)
+    place = scale * (seen.z[:, :3] - [lat, lon, height])
+    z, variance = _measured(moments, seen, place, as_white(seen, receiver), heading)
     found = run(
         moments,
         z - integrated,
@@ -252,14 +254,14 @@ class _Heading(NamedTuple):
         return np.interp(moments, self.t, self.course)
 
 
-def _measured(moments: Floats, seen: Reports, place: Floats, heading: _Heading) -> tuple[Floats, Floats]:
+def _measured(moments: Floats, seen: Reports, place: Floats, noise: Floats, heading: _Heading) -> tuple[Floats, Floats]:
     """Position and velocity of the fixes in T at their moments, and their variances, (k, 6) each; NaN elsewhere."""
     z, variance = np.full((moments.size, 6), np.nan), np.ones((moments.size, 6))
     row = np.minimum(np.searchsorted(moments, seen.t - 1e-3), moments.size - 1)
     course = heading.at(seen.t)
     z[row, :3] = place
     z[row, 3], z[row, 4] = seen.z[:, 3] * np.cos(course), seen.z[:, 3] * np.sin(course)
-    variance[row, :5] = seen.noise[:, :, 1]
+    variance[row, :5] = noise
     return z, variance
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from nav_core import earth
 from nav_core.kalman import predict, update
 from nav_core.navigation.inertial_gnss import Record, moved
-from nav_core.navigation.kernels import ROWS, SLOWEST, STATES, Weights
+from nav_core.navigation.kernels import ROWS, SLOW, SLOWEST, STATES, VEHICLE, Weights
 from nav_core.processes.transition import transition_series
 from nav_core.rotation import skew
 from nav_core.strapdown.increments import Increments
@@ -15,16 +15,16 @@ from nav_core.strapdown.mechanisation import Navigation, mechanise
 from nav_core.typing import Flags, Floats
 
 Rows = tuple[Floats, Floats, Floats, Floats]
-"""Residuals (13,), NaN where not measured; matrix (13, 15); variances for the gate and for the filter (13,)."""
+"""Residuals (13,), NaN where not measured; matrix (13, 20); variances for the gate and for the filter (13,)."""
 
 
 def run_reference(record: Record) -> tuple[Floats, Floats, Floats, Floats, Floats, Floats]:
-    """Places (m, 3), velocities, attitudes, biases (m, 6), covariances (m, 15, 15), corrections (m, 15).
+    """Places (m, 3), velocities, attitudes, slow states (m, 11), covariances (m, 20, 20), corrections (m, 20).
 
     000 eqs. 3.6.21-3.6.25 and 3.11.24 on the error states; `record` as for `kernels.run`, whose docstrings hold.
     """
     start, epochs, weights = record.start, record.epochs, record.weights
-    place, v, attitude, covariance, bias = start.place, start.v, start.C, start.P, np.zeros(6)
+    place, v, attitude, covariance, slow = start.place, start.v, start.C, start.P, np.zeros(SLOW)
     since = np.inf
     found: list[tuple[Floats, ...]] = []
     for j, sample in enumerate(epochs.sample):
@@ -32,30 +32,33 @@ def run_reference(record: Record) -> tuple[Floats, Floats, Floats, Floats, Float
         if j > 0:
             part = slice(epochs.sample[j - 1], sample)
             period = float(record.t[sample] - record.t[part.start])
-            place, v, attitude, covariance, spin = _advance(record, part, j, place, v, attitude, bias, covariance)
-            if epochs.still[j] > 0.0:
+            place, v, attitude, covariance, spin, pushed = _advance(
+                record, part, j, place, v, attitude, slow[:6], covariance
+            )
+            slow = np.concatenate((slow[:6], np.exp(-period / weights.correlation) * slow[6:]))
+            if epochs.still[j] > 0.0 and not pushed:
                 _rest(rows, v, spin, epochs.density[j, 1] / period, weights)
             else:
                 _slip(rows, v, attitude, spin, record.arm, weights)
-        _fix(rows, place, v, epochs.z[j], epochs.late[j], epochs.noise[j])
+        _fix(rows, place, v, slow, epochs.z[j], epochs.late[j], epochs.noise[j])
         covariance, since = _gate(rows, covariance, weights, float(record.t[sample]), since)
         e, H, _, r = rows
         used = ~np.isnan(e)
         outcome = update(np.zeros(STATES), covariance, e[used], H[used], np.diag(r[used]))
         covariance = outcome.P
-        place, v, attitude, bias = (
-            values[0] for values in moved(place[None], v[None], attitude[None], bias[None], outcome.x[None])
+        place, v, attitude, slow = (
+            values[0] for values in moved(place[None], v[None], attitude[None], slow[None], outcome.x[None])
         )
-        found.append((place, v, attitude, bias, covariance, outcome.x))
-    places, speeds, attitudes, biases, covariances, corrections = (
+        found.append((place, v, attitude, slow, covariance, outcome.x))
+    places, speeds, attitudes, slows, covariances, corrections = (
         np.array(column) for column in zip(*found, strict=True)
     )
-    return places, speeds, attitudes, biases, covariances, corrections
+    return places, speeds, attitudes, slows, covariances, corrections
 
 
 def _advance(
     record: Record, part: slice, j: int, place: Floats, v: Floats, attitude: Floats, bias: Floats, covariance: Floats
-) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+) -> tuple[Floats, Floats, Floats, Floats, Floats, bool]:
     t = record.t[part.start : part.stop + 1]
     periods = np.diff(t)[:, None]
     increments = Increments(
@@ -73,13 +76,22 @@ def _advance(
     F[6:9, 12:15] = -middle
     w = record.weights
     density = [0.0, *record.epochs.density[j], w.accel_walk, w.gyro_walk]
-    half = np.diag(np.repeat(0.5 * period * np.array(density), 3))
-    predicted = predict(np.zeros(STATES), covariance + half, transition_series(F, period, 2), half)
+    keep = np.exp(-period / w.correlation)
+    common = np.full(STATES - VEHICLE, (1.0 - keep**2) / (1.0 + keep**2))
+    half = np.diag(np.concatenate((np.repeat(0.5 * period * np.array(density), 3), common)))
+    Phi = transition_series(F, period, 2)
+    Phi[range(VEHICLE, STATES), range(VEHICLE, STATES)] = keep
+    predicted = predict(np.zeros(STATES), covariance + half, Phi, half)
     place = np.array([track.lat[-1], track.lon[-1], track.height[-1]])
-    return place, track.velocity[-1], track.R_tb[-1], predicted.P, increments.rotation.sum(axis=0) / period
+    spin = increments.rotation.sum(axis=0) / period
+    slope = Phi[3:5, 6:VEHICLE] / period
+    expected = np.einsum("ij,jk,ik->i", slope, predicted.P[6:VEHICLE, 6:VEHICLE], slope)
+    expected += record.epochs.density[j, 0] / period + w.rest_push**2
+    pushed = bool(np.any(force[:2] ** 2 > w.gate * expected))
+    return place, track.velocity[-1], track.R_tb[-1], predicted.P, spin, pushed
 
 
-def _fix(rows: Rows, place: Floats, v: Floats, z: Floats, late: Floats, noise: Floats) -> None:
+def _fix(rows: Rows, place: Floats, v: Floats, slow: Floats, z: Floats, late: Floats, noise: Floats) -> None:
     e, H, s, r = rows
     meridian, normal = earth.radii(place[0])
     scale = np.array([meridian + place[2], (normal + place[2]) * np.cos(place[0]), -1.0])
@@ -91,6 +103,8 @@ def _fix(rows: Rows, place: Floats, v: Floats, z: Floats, late: Floats, noise: F
         e[3], H[3, 3:5] = z[3] - speed, ahead
         off = z[4] - np.arctan2(v[1], v[0])
         e[4], H[4, 3:5] = speed * np.arctan2(np.sin(off), np.cos(off)), [-ahead[1], ahead[0]]
+    H[range(5), range(VEHICLE, STATES)] = np.sqrt(noise[:, 0] - noise[:, 1])
+    e[:5] -= H[:5, VEHICLE:] @ slow[6:]
 
 
 def _slip(rows: Rows, v: Floats, attitude: Floats, spin: Floats, arm: Floats, w: Weights) -> None:

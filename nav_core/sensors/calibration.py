@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import norm
-from scipy.stats import t as student
+from scipy.special import ndtri, stdtrit
 
 from nav_core.errors import NotFiniteError, PosesError, RangeError, ShapeError
 from nav_core.typing import Floats
@@ -78,7 +77,7 @@ class Calibration:
     def interval(self, level: float = 0.95) -> Floats:
         """Interval of each parameter, shape (k, 2): Student's t, or normal where the noise was given."""
         tail = 0.5 + 0.5 * level
-        reach = norm.ppf(tail) if self.freedom is None else student.ppf(tail, self.freedom)
+        reach = ndtri(tail) if self.freedom is None else stdtrit(self.freedom, tail)
         return np.stack((self.values - reach * self.sigma, self.values + reach * self.sigma), axis=1)
 
     def correct(self, readings: Floats) -> Floats:

@@ -13,7 +13,7 @@ from functools import lru_cache
 
 import numpy as np
 from scipy.optimize import nnls
-from scipy.stats import chi2, norm
+from scipy.special import chdtrc, chdtri, ndtri
 
 from nav_core.errors import RangeError, TooLittleDataError
 from nav_core.sensors.allan import AllanDeviation, allan_deviation, cluster_factors
@@ -114,7 +114,7 @@ def identify(x: Floats, rate: float, *, terms: str = "NBK", level: float = 0.95,
         raise TooLittleDataError("octaves of cluster time", int(factor.size), len(chosen) + 1)
     variance = curve.sigma[np.searchsorted(curve.factor, factor)] ** 2
     squares, spread, misfit = _least_squares(factor, curve.samples, variance, chosen)
-    likelihood = float(chi2.sf(misfit, factor.size - len(chosen)))
+    likelihood = float(chdtrc(factor.size - len(chosen), misfit))
     if likelihood < UNLIKELY:
         # The model is not the truth: the misfit, and not the noise alone, says how well the coefficients are known.
         spread *= np.sqrt(misfit / (factor.size - len(chosen)))
@@ -183,8 +183,8 @@ def confidence(curve: AllanDeviation, freedom: Floats, level: float = 0.95) -> t
         In the unit of the curve; chi-squared, equal tails.
     """
     tail = 0.5 * (1.0 - level)
-    low = curve.sigma * np.sqrt(freedom / chi2.ppf(1.0 - tail, freedom))
-    return low, curve.sigma * np.sqrt(freedom / chi2.ppf(tail, freedom))
+    low = curve.sigma * np.sqrt(freedom / chdtri(freedom, tail))
+    return low, curve.sigma * np.sqrt(freedom / chdtri(freedom, 1.0 - tail))
 
 
 def _least_squares(factor: Integers, samples: int, variance: Floats, terms: str) -> tuple[Floats, Floats, float]:
@@ -215,7 +215,7 @@ def _nonnegative(A: Floats, y: Floats) -> Floats:
 
 def _interval(squares: Floats, spread: Floats, level: float) -> tuple[Floats, Floats]:
     """Ends for the squares: of the logarithm where they are well known, else the wider of both kinds."""
-    z = float(norm.ppf(0.5 + 0.5 * level))
+    z = float(ndtri(0.5 + 0.5 * level))
     relative = spread / np.maximum(squares, 1e-300)
     known = relative < 0.5
     factor = np.exp(z * np.minimum(relative, 1.0))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from nav_core.errors import RangeError, ShapeError, TooLittleDataError
 from nav_core.sensors.calibration import check_readings
@@ -46,7 +46,7 @@ class TemperatureFit:
 
     def interval(self, level: float = 0.95) -> Floats:
         """Intervals of the slopes, shape (3, 2)."""
-        reach = student.ppf(0.5 + 0.5 * level, len(self.residuals) - 2) * np.sqrt(self.covariance[:, 1, 1])
+        reach = stdtrit(len(self.residuals) - 2, 0.5 + 0.5 * level) * np.sqrt(self.covariance[:, 1, 1])
         return np.stack((self.slope - reach, self.slope + reach), axis=1)
 
     def bias(self, temp: Floats | float) -> Floats:

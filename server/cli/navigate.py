@@ -5,12 +5,12 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from server.cli.progress import progress
 from server.settings import set_numba_cache_dir
 
 if TYPE_CHECKING:
@@ -39,9 +39,9 @@ def navigate(args: argparse.Namespace) -> int:
     from server.formats.drive import read_drive_file
 
     drive = read_drive_file(args.drive)
-    _progress("mounting")
+    progress("mounting")
     mounting = _mounting(drive, args.mount)
-    _progress("track")
+    progress("track")
     R_va, smoothed = mounting.R_va, not args.forward
     speed_lag, course_lag = mounting.speed_lag, mounting.course_lag
     if drive.inertial.w is None:
@@ -53,8 +53,9 @@ def navigate(args: argparse.Namespace) -> int:
     table = track_of(solution)
     write_track(args.out, table)
     if args.plot is not None:
-        _progress("figure")
+        progress("figure")
         plot(args.plot, solution, drive, spans)
+    progress("")
     report = report_of(solution, spans, mounting)
     if args.json:
         print(json.dumps({"out": str(args.out), **report}))
@@ -62,9 +63,9 @@ def navigate(args: argparse.Namespace) -> int:
     print(f"{args.out}: {report['distance_km']:.3f} km in {report['duration_s']:.0f} s, {report['method']}")
     print(f"  95 % within {report['radius95_m']['median']:.1f} m (median), {report['radius95_m']['max']:.1f} m (worst)")
     for span in report["outages"]:
-        print(
-            f"  no GPS from {span['begin_s']:.1f} s for {span['duration_s']:.1f} s: within {span['radius95_m']:.1f} m"
-        )
+        reach = span["radius95_m"]
+        within = "no inertial data either" if reach is None else f"within {reach:.1f} m"
+        print(f"  no GPS from {span['begin_s']:.1f} s for {span['duration_s']:.1f} s: {within}")
     for remark in report["quality"]:
         print(f"  - {remark}")
     return 0
@@ -196,8 +197,3 @@ def plot(path: Path, solution: Solution, drive: Drive, spans: tuple[Gap, ...]) -
     reach.plot(solution.t, radius(solution), color="tab:blue", lw=1.2)
     reach.set(xlabel="box clock [s]", ylabel="95 % radius [m]", ylim=(0.0, None))
     figure.savefig(path, dpi=130)
-
-
-def _progress(what: str) -> None:
-    if sys.stderr.isatty():
-        print(f"scatola: {what} ...", file=sys.stderr)

@@ -67,13 +67,18 @@ def migrate(args: argparse.Namespace) -> int:
 
 
 def warm_up(args: argparse.Namespace) -> int:
-    """`scatola warm-up`: run what is compiled once, on a short drive, so that nobody waits for it later."""
+    """`scatola warm-up`: run what service and commands compile once, on a short drive, so that nobody waits for it."""
     del args
     set_numba_cache_dir()
     from nav_core.mounting import estimate_mounting
+    from nav_core.navigation import navigate, navigate_without_gyro
+    from nav_core.sensors import identify
     from nav_core.simulate import Scenario, simulate
 
-    drive, _ = simulate(Scenario(duration=60.0, accel_rate=50.0), seed=0)
+    drive, truth = simulate(Scenario(duration=60.0, accel_rate=50.0, with_gyro=True), seed=0)
     for method in ("whole-drive", "mekf"):
         estimate_mounting(drive, method=method)
+    navigate(drive, truth.R_va)
+    navigate_without_gyro(drive, truth.R_va)
+    identify(drive.inertial.f[:, 0].copy(), 50.0)
     return 0

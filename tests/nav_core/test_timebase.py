@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from nav_core.errors import ShapeError, TooLittleDataError
 from nav_core.records import Gnss
-from nav_core.timebase import fit_clock, gaps, in_order, jitter, lag_between, stale
+from nav_core.timebase import fit_clock, fit_pulses, gaps, in_order, jitter, lag_between, stale
 
 
 def test_rows_in_order_raise_no_remark():
@@ -149,3 +149,22 @@ def test_lag_needs_something_to_compare():
         lag_between(t[:2], t[:2], t, t, lags)
     with pytest.raises(TooLittleDataError):
         lag_between(t + 100.0, t, t, t, lags)
+
+
+def test_pulses_date_the_box_clock_and_tell_the_lag_of_the_fixes():
+    rng = np.random.default_rng(4)
+    start, drift, lag = 1_750_000_000.37, 4e-5, 0.23
+    fixes = np.arange(1.0, 600.0, 0.25)
+    utc = start + (1.0 + drift) * (fixes - lag)
+    coarse = fit_clock(fixes + rng.uniform(0.0, 0.03, fixes.size), utc)
+    seconds = np.arange(1_750_000_002.0, 1_750_000_590.0)
+    pulses = (seconds - start) / (1.0 + drift) + 2e-6 * rng.standard_normal(seconds.size)
+    pulses = pulses[rng.random(pulses.size) > 0.2]
+    clock = fit_pulses(pulses, coarse)
+    assert clock.utc(np.array([300.0]))[0] == pytest.approx(start + (1.0 + drift) * 300.0, abs=5e-6)
+    assert clock.drift == pytest.approx(drift, abs=1e-7)
+    assert clock.utc(np.array([300.0]))[0] - coarse.utc(np.array([300.0]))[0] == pytest.approx(lag + 0.015, abs=0.01)
+    late = fit_clock(fixes + 1.3, utc)
+    assert fit_pulses(pulses, late, lag=1.5).utc_ref == pytest.approx(clock.utc_ref, abs=1e-6)
+    with pytest.raises(TooLittleDataError):
+        fit_pulses(pulses + 0.5 + lag, coarse)
