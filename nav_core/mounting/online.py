@@ -1,0 +1,256 @@
+"""The online estimator: a mounting that is there while the vehicle still drives.
+
+`begin`, then `advance` with whatever has arrived, then `assess` whenever somebody looks; `advance_fleet`
+does it for many boxes with one call of the compiled filter.  A state is never changed, so a worker may
+keep it, or throw a failed step away.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from nav_core.errors import ShapeError
+from nav_core.mounting.closed_form import level_basis
+from nav_core.mounting.online_kernel import run
+from nav_core.mounting.online_model import (
+    COURSE_LAG,
+    N_COLUMNS,
+    SPEED_LAG,
+    TURN,
+    Filters,
+    Tuning,
+    initial_filters,
+)
+from nav_core.mounting.online_rows import HORIZON, Place, ready_fixes, records_of, rows_of
+from nav_core.mounting.online_stream import Chunk, fixes_where, joined, ticks_since
+from nav_core.mounting.online_tally import PIECE, Tally, noted, piece_of
+from nav_core.mounting.stretch import Fixes, Record
+from nav_core.records import Gnss
+from nav_core.signal import Ticks, merge
+from nav_core.typing import Floats, Integers
+
+LISTEN = 8.0
+"""Specific force is heard for this long before it levels the start, s."""
+
+KEEP = 6.0
+"""How much of the raw stream before the last fix a state carries, s."""
+
+UNLIKELY = 12.0
+"""A hypothesis whose log likelihood is this far below the best's is dropped."""
+
+SAME_YAW = 0.4
+"""Hypotheses that have come this near to the best are the same, rad; the best then stands alone once it is sure."""
+
+SURE_YAW = 0.12
+"""rad."""
+
+LAG_STEP = 0.1
+LONGEST_LAG = 2.5
+"""Most that the lags move between two pieces, and their greatest value, s."""
+
+
+@dataclass(frozen=True, slots=True)
+class OnlineState:
+    """A box as far as its stream has been worked off.
+
+    Attributes
+    ----------
+    tuning : Tuning
+    filters : Filters, optional
+        The yaw hypotheses that are left; None before the start.
+    lags : tuple of float
+        Of GPS speed and course, at which the filters stand, s.
+    place : Place, optional
+    ticks, spin, gnss : optional
+        The end of the raw stream that is still needed.
+    tally : Tally
+        What the drive has offered and how the estimate has developed.
+    """
+
+    tuning: Tuning = field(default_factory=Tuning)
+    filters: Filters | None = None
+    lags: tuple[float, float] = (0.3, 0.3)
+    place: Place | None = None
+    ticks: Ticks | None = None
+    spin: Ticks | None = None
+    gnss: Gnss | None = None
+    tally: Tally = field(default_factory=Tally)
+
+
+@dataclass(slots=True)
+class _Work:
+    """A state on its way through a chunk."""
+
+    state: OnlineState
+    record: Record
+    spin: Record | None
+    heard: float
+    rows: Floats
+
+
+def begin(tuning: Tuning | None = None) -> OnlineState:
+    """The state of a box that has not been heard of yet."""
+    tuned = tuning or Tuning()
+    return OnlineState(tuning=tuned, lags=(tuned.lag, tuned.lag))
+
+
+def advance(state: OnlineState, chunk: Chunk) -> OnlineState:
+    """The state after more of the stream.
+
+    Parameters
+    ----------
+    state : OnlineState
+    chunk : Chunk
+        Later than all before.  The pieces of a stream may be cut anywhere; fixes that are not later than
+        those worked off are left out.
+
+    Returns
+    -------
+    OnlineState
+        `HORIZON` seconds behind the last fix.
+    """
+    return advance_fleet([state], [chunk])[0]
+
+
+def advance_fleet(states: Sequence[OnlineState], chunks: Sequence[Chunk]) -> list[OnlineState]:
+    """Every box's state after its chunk; see `advance`.
+
+    Boxes share each call of the compiled filter, piece by piece.
+
+    Raises
+    ------
+    ShapeError
+        If there are not as many chunks as states.
+    """
+    if len(states) != len(chunks):
+        raise ShapeError("chunks", (len(chunks),), f"({len(states)},)")
+    works = [_prepared(state, chunk) for state, chunk in zip(states, chunks, strict=True)]
+    busy = [work for work in works if _next_piece(work)]
+    while busy:
+        for tuning in {work.state.tuning for work in busy}:
+            _run_piece([work for work in busy if work.state.tuning == tuning])
+        busy = [work for work in busy if _next_piece(work)]
+    return [_trimmed(work.state) for work in works]
+
+
+def _prepared(state: OnlineState, chunk: Chunk) -> _Work:
+    """The stream as far as it is known, with the filters not yet moved."""
+    ticks = chunk.ticks if state.ticks is None else merge([state.ticks, chunk.ticks])
+    spin = chunk.spin if state.spin is None else state.spin if chunk.spin is None else merge([state.spin, chunk.spin])
+    gnss = chunk.gnss if state.gnss is None else joined(state.gnss, chunk.gnss)
+    record, spins = records_of(ticks, spin, gnss)
+    heard = -np.inf
+    if record.fixes.t.size and record.t.size:
+        last = float(record.fixes.t[-1])
+        felt = float(record.t[-1]) - 0.3 + HORIZON
+        heard = min(last, felt) if felt > last - 5.0 else last
+    return _Work(replace(state, ticks=ticks, spin=spin, gnss=gnss), record, spins, heard, np.empty((0, N_COLUMNS)))
+
+
+def _next_piece(work: _Work) -> bool:
+    """Put the rows of the next piece in place, starting the filters if need be; False when there are none."""
+    state, record = work.state, work.record
+    ready = ready_fixes(record.fixes, -np.inf if state.place is None else state.place.fix, work.heard)
+    if not ready.any():
+        return False
+    if state.filters is None and work.heard - float(record.fixes.t[0]) < LISTEN:
+        return False
+    since = float(record.fixes.t[np.argmax(ready)])
+    if state.place is not None and piece_of(since) > piece_of(state.place.fix):
+        state = _looked_at(state)
+    edge = (piece_of(since) + 1.0) * PIECE
+    ready &= record.fixes.t < edge
+    window = _window(record, since - KEEP, edge + HORIZON)
+    spin = None if work.spin is None else _window(work.spin, since - KEEP, edge + HORIZON)
+    kept = (record.fixes.t >= window.fixes.t[0]) & (record.fixes.t <= window.fixes.t[-1])
+    rows, place = rows_of(window, spin, state.place, ready[kept], state.lags, state.tuning)
+    filters = state.filters
+    if filters is None:
+        heard = record.t <= record.t[0] + LISTEN
+        filters = initial_filters(rows[0], level_basis(record.f[heard]), state.lags, state.tuning)
+    work.rows = rows
+    work.state = replace(state, filters=filters, place=place)
+    return True
+
+
+def _window(record: Record, begin: float, end: float) -> Record:
+    """A stretch of a record, with the steps of its ticks as they were."""
+    fixes = slice(*np.searchsorted(record.fixes.t, [begin, end]).tolist())
+    ticks = slice(*np.searchsorted(record.t, [begin - KEEP, end]).tolist())
+    return Record(
+        record.t[ticks],
+        record.f[ticks],
+        record.step[ticks],
+        Fixes(*(column[fixes] for column in record.fixes)),
+    )
+
+
+def _run_piece(works: list[_Work]) -> None:
+    """Run all boxes' filters over their rows in one call, and take notes."""
+    stacked, first, last, rows = stack([work.state.filters for work in works], [work.rows for work in works])
+    trace = np.zeros((rows.shape[0], 16))
+    run(stacked, rows, first, last, works[0].state.tuning, trace)
+    begin = 0
+    for work in works:
+        assert work.state.filters is not None
+        end = begin + work.state.filters.x.shape[0]
+        filters = Filters(*(column[begin:end] for column in stacked))
+        # While several hypotheses share the rows, the trace is that of any of them.
+        told = trace[first[begin] : last[begin]] if end == begin + 1 else trace[:0]
+        assert work.state.place is not None
+        tally = noted(work.state.tally, work.rows, work.state.place.fix, filters, told)
+        work.state = replace(work.state, filters=filters, tally=tally)
+        begin = end
+
+
+def stack(filters: Sequence[Filters | None], rows: Sequence[Floats]) -> tuple[Filters, Integers, Integers, Floats]:
+    """Filters of many boxes side by side (copied), the ranges of their rows, and the rows."""
+    present = [each for each in filters if each is not None]
+    stacked = Filters(*(np.concatenate(columns) for columns in zip(*present, strict=True)))
+    ends = np.cumsum([each.shape[0] for each in rows])
+    sizes = [each.x.shape[0] for each in present]
+    last = np.repeat(ends, sizes)
+    first = np.repeat(ends - [each.shape[0] for each in rows], sizes)
+    return stacked, first, last, np.concatenate(rows)
+
+
+def _looked_at(state: OnlineState) -> OnlineState:
+    """Drop hypotheses and move the lags, at the end of a piece."""
+    assert state.filters is not None
+    filters = _likely(state.filters) if state.filters.x.shape[0] > 1 else state.filters
+    best = int(np.argmax(filters.likelihood))
+    shift = np.clip(filters.x[best, [SPEED_LAG, COURSE_LAG]], -LAG_STEP, LAG_STEP)
+    lags = np.clip(np.add(state.lags, shift), 0.0, LONGEST_LAG)
+    x = filters.x.copy()
+    x[:, [SPEED_LAG, COURSE_LAG]] -= lags - state.lags
+    return replace(state, filters=filters._replace(x=x), lags=(float(lags[0]), float(lags[1])))
+
+
+def _likely(filters: Filters) -> Filters:
+    """The hypotheses that are still possible; one alone once all that are have come together."""
+    best = int(np.argmax(filters.likelihood))
+    possible = filters.likelihood > filters.likelihood[best] - UNLIKELY
+    turns = Rotation.from_rotvec(filters.x[:, TURN : TURN + 3]) * Rotation.from_matrix(filters.R_va)
+    apart = (turns * turns[best].inv()).magnitude()
+    sure = filters.P[best, TURN + 2, TURN + 2] < SURE_YAW**2
+    if sure and np.all(apart[possible] < SAME_YAW):
+        possible = np.arange(possible.size) == best
+    return Filters(*(column[possible] for column in filters))
+
+
+def _trimmed(state: OnlineState) -> OnlineState:
+    """Without what will not be needed again of the raw stream."""
+    if state.place is None or state.ticks is None or state.gnss is None:
+        return state
+    since = state.place.fix - KEEP
+    spin = state.spin
+    return replace(
+        state,
+        ticks=ticks_since(state.ticks, since - KEEP),
+        spin=None if spin is None else ticks_since(spin, since - KEEP),
+        gnss=fixes_where(state.gnss, state.gnss.t >= since),
+    )

@@ -1,0 +1,187 @@
+"""What the online estimator remembers of a drive beside its filters: excitation, how sure it was, its self-test."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from nav_core.mounting.online_model import (
+    BROKEN,
+    ELAPSED,
+    GPS_CHANGE,
+    GPS_SPEED,
+    OF_CLIMB,
+    OF_COURSE,
+    OF_SPEED,
+    TURN,
+    TURNED,
+    Filters,
+)
+from nav_core.mounting.self_test import DURATION, LIMIT
+from nav_core.records import SelfTest
+from nav_core.typing import Floats
+
+PIECE = 5.0
+"""Lags and hypotheses are looked at when box time passes a multiple of this, and notes are kept by it, s."""
+
+MOVING = 2.0
+"""m/s."""
+
+NOTICEABLE = 0.35
+"""m/s²."""
+
+FLOOR = np.radians(0.1)
+"""What a box's triad and a car's springs do that the model does not know, rad per axis."""
+
+CROWN = np.radians(0.8)
+"""Mean sideways tilt of a drive's roads: part of the mounting for all the data can tell, rad."""
+
+CONVERGED = np.radians(2.0)
+SHORT = 20.0
+"""A road of this many seconds is one sample of what roads are like: sigma is widened by ``sqrt(1 + SHORT / T)``."""
+
+TRUST = 40.0
+"""So many innovations of the expected size come before the drive's own."""
+
+REMEMBERED = 14
+"""Pieces of the past that are kept."""
+
+SLOWEST = 3.0
+"""Least speed throughout the self-test, m/s."""
+
+
+def piece_of(t: float) -> float:
+    """Number of the piece that a box time falls into."""
+    return float(np.floor(t / PIECE))
+
+
+def _no_trail() -> Floats:
+    return np.empty((0, 14))
+
+
+@dataclass(frozen=True, slots=True)
+class Tally:
+    """What has been driven and found.
+
+    Attributes
+    ----------
+    driven, moving, along, across : float
+        Time since the first moving fix, in motion, and with noticeable acceleration along and across, s.
+    turned : float
+        Sum of all turning, rad.
+    sure_since : float, optional
+        `driven` from which on every sigma has stayed under `CONVERGED`, s.
+    trail : ndarray, shape (k, 14)
+        One row for each of the last pieces: box time, mounting (9), change of speed as the force told it,
+        GPS change, least speed, sound (1) or broken (0).
+    """
+
+    driven: float = 0.0
+    moving: float = 0.0
+    along: float = 0.0
+    across: float = 0.0
+    turned: float = 0.0
+    sure_since: float | None = None
+    trail: Floats = field(default_factory=_no_trail)
+
+
+def noted(tally: Tally, rows: Floats, until: float, filters: Filters, trace: Floats) -> Tally:
+    """The tally after a piece.
+
+    Parameters
+    ----------
+    tally : Tally
+    rows : ndarray, shape (k, 30)
+    until : float
+        Box time of the last row, s.
+    filters : Filters
+        After the piece.
+    trace : ndarray, shape (k, 16) or (0, 16)
+        Of the only filter; without rows while there are several.
+
+    Returns
+    -------
+    Tally
+    """
+    span = np.clip(rows[:, ELAPSED], 0.0, 2.0)
+    fast = rows[:, GPS_SPEED] > MOVING
+    started = np.logical_or.accumulate(fast) | (tally.driven > 0.0)
+    step = np.where(started, np.maximum(rows[:, ELAPSED], 0.0), 0.0)
+    safe = np.maximum(span, 1e-3)
+    turn = np.abs(np.nan_to_num(rows[:, TURNED])) * fast
+    along = np.abs(rows[:, GPS_CHANGE]) / safe > NOTICEABLE
+    across = turn * rows[:, GPS_SPEED] / safe > NOTICEABLE
+    driven = tally.driven + np.cumsum(step)
+    sure_since = tally.sure_since
+    if trace.shape[0] == 0:
+        sure_since = None
+    else:
+        variance = trace[:, 9:12] * (widening(filters) ** 2) * (1.0 + SHORT / np.maximum(driven, 1.0))[:, None]
+        variance += FLOOR**2 + np.array([CROWN**2, 0.0, 0.0])
+        wide = np.flatnonzero((variance >= CONVERGED**2).any(axis=1))
+        if wide.size:
+            sure_since = float(driven[wide[-1] + 1]) if wide[-1] + 1 < driven.size else None
+        elif sure_since is None:
+            sure_since = float(driven[0])
+    entry = np.empty((1, 14))
+    entry[0, 0], entry[0, 1:10] = until, mounting_of(filters).ravel()
+    entry[0, 10] = trace[:, 15].sum()
+    entry[0, 11], entry[0, 12] = rows[:, GPS_CHANGE].sum(), rows[:, GPS_SPEED].min()
+    entry[0, 13] = trace.shape[0] > 0 and not rows[:, BROKEN].any()
+    trail = tally.trail
+    if trail.shape[0] and piece_of(trail[-1, 0]) == piece_of(until):
+        entry[0, 10:12] += trail[-1, 10:12]
+        entry[0, 12:14] = np.minimum(entry[0, 12:14], trail[-1, 12:14])
+        trail = trail[:-1]
+    return replace(
+        tally,
+        driven=float(driven[-1]),
+        moving=tally.moving + float(span[fast].sum()),
+        along=tally.along + float(span[along].sum()),
+        across=tally.across + float(span[across].sum()),
+        turned=tally.turned + float(turn.sum()),
+        sure_since=sure_since,
+        trail=np.concatenate([trail[1 - REMEMBERED :], entry]),
+    )
+
+
+def mounting_of(filters: Filters) -> Floats:
+    """The likeliest filter's mounting, shape (3, 3)."""
+    best = int(np.argmax(filters.likelihood))
+    return Rotation.from_rotvec(filters.x[best, TURN : TURN + 3]).as_matrix() @ filters.R_va[best]
+
+
+def widening(filters: Filters) -> float:
+    """Factor on sigma by which the innovations exceed what the filter expected of them."""
+    best = int(np.argmax(filters.likelihood))
+    misfit, count = filters.notes[best, :, 0], filters.notes[best, :, 1]
+    ratio = (misfit + TRUST) / (count + TRUST)
+    return float(np.sqrt(max(ratio[[OF_SPEED, OF_CLIMB, OF_COURSE]].max(), 1.0)))
+
+
+def covariance_of(filters: Filters, tally: Tally) -> Floats:
+    """Covariance of the mounting with all that the filter does not know, rad², shape (3, 3)."""
+    best = int(np.argmax(filters.likelihood))
+    block = filters.P[best, TURN : TURN + 3, TURN : TURN + 3]
+    covariance = block * widening(filters) ** 2 * (1.0 + SHORT / max(tally.driven, 1.0))
+    return covariance + np.diag([FLOOR**2 + CROWN**2, FLOOR**2, FLOOR**2])
+
+
+def recent_test(tally: Tally) -> SelfTest | None:
+    """The thesis' 40 s test (001 §5.4) over the latest pieces; None without so long an unbroken drive.
+
+    Slope-compensated: the force is integrated with the slope and biases that the filter held at the time.
+    """
+    trail = tally.trail
+    if trail.shape[0] < 2:
+        return None
+    begin = int(np.searchsorted(trail[:, 0], trail[-1, 0] - DURATION, side="right")) - 1
+    if begin < 0:
+        return None
+    part = trail[begin + 1 :]
+    if part[:, 12].min() < SLOWEST or not part[:, 13].all():
+        return None
+    drift = float(abs(part[:, 10].sum() - part[:, 11].sum()))
+    return SelfTest(drift < LIMIT, drift, float(trail[-1, 0] - trail[begin, 0]))
