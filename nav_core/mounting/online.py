@@ -23,12 +23,13 @@ from nav_core.mounting.online_model import (
     TURN,
     Filters,
     Tuning,
+    hypotheses,
     initial_filters,
 )
-from nav_core.mounting.online_rows import HORIZON, Place, ready_fixes, records_of, rows_of
+from nav_core.mounting.online_rows import HORIZON, SLOWEST, Place, ready_fixes, records_of, rows_of
 from nav_core.mounting.online_stream import Chunk, fixes_where, joined, ticks_since
 from nav_core.mounting.online_tally import PIECE, Tally, noted, piece_of
-from nav_core.mounting.stretch import Fixes, Record
+from nav_core.mounting.stretch import Fixes, Record, gps_rate, unrolled
 from nav_core.records import Gnss
 from nav_core.signal import Ticks, merge
 from nav_core.typing import Floats, Integers
@@ -170,11 +171,22 @@ def _next_piece(work: _Work) -> bool:
     rows, place = rows_of(window, spin, state.place, ready[kept], state.lags, state.tuning)
     filters = state.filters
     if filters is None:
-        heard = record.t <= record.t[0] + LISTEN
-        filters = initial_filters(rows[0], level_basis(record.f[heard]), state.lags, state.tuning)
+        filters = initial_filters(rows[0], _starts(record, state.lags), state.lags, state.tuning)
     work.rows = rows
     work.state = replace(state, filters=filters, place=place)
     return True
+
+
+def _starts(record: Record, lags: tuple[float, float]) -> Floats:
+    """Mountings to start from: levelled by the first `LISTEN` seconds, less what the receiver saw of acceleration."""
+    fixes = record.fixes
+    first = fixes.t <= fixes.t[0] + LISTEN
+    t, speed = fixes.t[first], fixes.speed[first]
+    heard = (record.t >= t[0] - lags[0]) & (record.t <= t[-1] - lags[0])
+    force = record.f[heard if heard.any() else slice(None)].mean(axis=0)
+    span = max(float(t[-1] - t[0]), 1.0)
+    side = np.where(speed > SLOWEST, speed * gps_rate(t, unrolled(fixes.course[first])), 0.0)
+    return hypotheses(force, level_basis(force[None]), (float(speed[-1] - speed[0]) / span, float(side.mean())))
 
 
 def _window(record: Record, begin: float, end: float) -> Record:

@@ -22,6 +22,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from nav_core.rotation import skew
 from nav_core.typing import Floats
 
 GRAVITY = 9.80665
@@ -138,15 +139,44 @@ HYPOTHESES = 8
 """Yaws at which the filter is started."""
 
 
-def initial_filters(row: Floats, level: Floats, lags: tuple[float, float], tuning: Tuning) -> Filters:
+def hypotheses(force: Floats, level: Floats, driven: tuple[float, float]) -> Floats:
+    """Mountings at yaws all around that are level for what the vehicle did meanwhile.
+
+    Parameters
+    ----------
+    force : ndarray, shape (3,)
+        Mean specific force of the first seconds, A-frame, m/s².
+    level : ndarray, shape (3, 3)
+        Rotation from the A-frame to a frame that `force` is vertical in.
+    driven : tuple of float
+        Mean acceleration along and across in those seconds, by the receiver, m/s².
+
+    Returns
+    -------
+    ndarray, shape (8, 3, 3)
+    """
+    expected = np.array([driven[0], driven[1], -GRAVITY])
+    up, expected = level @ force, expected / np.linalg.norm(expected)
+    up /= np.linalg.norm(up)
+    axis = np.cross(up, expected)
+    # From the vertical to what is felt when driving so: the shortest turn.
+    K = skew(axis)
+    tilt = np.eye(3) + K + K @ K / (1.0 + float(up @ expected))
+    yaw = 2.0 * np.pi / HYPOTHESES * np.arange(HYPOTHESES)
+    c, s, zero = np.cos(yaw), np.sin(yaw), np.zeros(HYPOTHESES)
+    turns = np.stack([c, s, zero, -s, c, zero, zero, zero, zero + 1.0], axis=1).reshape(-1, 3, 3)
+    return tilt @ turns @ level
+
+
+def initial_filters(row: Floats, R_va: Floats, lags: tuple[float, float], tuning: Tuning) -> Filters:
     """Filters at the first fix, one for each yaw hypothesis.
 
     Parameters
     ----------
     row : ndarray, shape (30,)
         Of the first fix.
-    level : ndarray, shape (3, 3)
-        Rotation from the A-frame to a level frame of any yaw.
+    R_va : ndarray, shape (k, 3, 3)
+        See `hypotheses`.
     lags : tuple of float
         Lags of speed and course at which the rows stand, s.
     tuning : Tuning
@@ -168,13 +198,11 @@ def initial_filters(row: Floats, level: Floats, lags: tuple[float, float], tunin
     sigma[BIAS : BIAS + 3] = tuning.bias
     sigma[[PITCH_GAIN, ROLL_GAIN, LEVER]] = tuning.pitch_gain_sigma, tuning.roll_gain_sigma, tuning.lever_sigma
     sigma[[SPEED_LAG, COURSE_LAG, GYRO_BIAS]] = tuning.lag_sigma, tuning.lag_sigma, tuning.gyro_bias
-    yaw = 2.0 * np.pi / HYPOTHESES * np.arange(HYPOTHESES)
-    c, s, zero = np.cos(yaw), np.sin(yaw), np.zeros(HYPOTHESES)
-    turns = np.stack([c, s, zero, -s, c, zero, zero, zero, zero + 1.0], axis=1).reshape(-1, 3, 3)
+    count = R_va.shape[0]
     return Filters(
-        x=np.tile(x, (HYPOTHESES, 1)),
-        P=np.tile(np.diag(sigma**2), (HYPOTHESES, 1, 1)),
-        R_va=turns @ level,
-        likelihood=np.zeros(HYPOTHESES),
-        notes=np.zeros((HYPOTHESES, N_KINDS, 2)),
+        x=np.tile(x, (count, 1)),
+        P=np.tile(np.diag(sigma**2), (count, 1, 1)),
+        R_va=R_va.copy(),
+        likelihood=np.zeros(count),
+        notes=np.zeros((count, N_KINDS, 2)),
     )
