@@ -17,6 +17,7 @@ from nav_core.errors import ShapeError
 from nav_core.mounting.closed_form import level_basis
 from nav_core.mounting.online_kernel import run
 from nav_core.mounting.online_model import (
+    BIAS,
     COURSE_LAG,
     N_COLUMNS,
     SPEED_LAG,
@@ -65,6 +66,8 @@ class OnlineState:
         The yaw hypotheses that are left; None before the start.
     lags : tuple of float
         Of GPS speed and course, at which the filters stand, s.
+    bias : float
+        What is expected of the accelerometer's level biases, m/s².
     place : Place, optional
     ticks, spin, gnss : optional
         The end of the raw stream that is still needed.
@@ -75,6 +78,7 @@ class OnlineState:
     tuning: Tuning = field(default_factory=Tuning)
     filters: Filters | None = None
     lags: tuple[float, float] = (0.3, 0.3)
+    bias: float = Tuning().bias
     place: Place | None = None
     ticks: Ticks | None = None
     spin: Ticks | None = None
@@ -96,7 +100,7 @@ class _Work:
 def begin(tuning: Tuning | None = None) -> OnlineState:
     """The state of a box that has not been heard of yet."""
     tuned = tuning or Tuning()
-    return OnlineState(tuning=tuned, lags=(tuned.lag, tuned.lag))
+    return OnlineState(tuning=tuned, lags=(tuned.lag, tuned.lag), bias=tuned.bias)
 
 
 def advance(state: OnlineState, chunk: Chunk) -> OnlineState:
@@ -237,9 +241,25 @@ def _looked_at(state: OnlineState) -> OnlineState:
     best = int(np.argmax(filters.likelihood))
     shift = np.clip(filters.x[best, [SPEED_LAG, COURSE_LAG]], -LAG_STEP, LAG_STEP)
     lags = np.clip(np.add(state.lags, shift), 0.0, LONGEST_LAG)
-    x = filters.x.copy()
+    x, P = filters.x.copy(), filters.P.copy()
     x[:, [SPEED_LAG, COURSE_LAG]] -= lags - state.lags
-    return replace(state, filters=filters._replace(x=x), lags=(float(lags[0]), float(lags[1])))
+    bias = _likely_bias(state, filters, best)
+    for axis in (BIAS, BIAS + 1):
+        P[:, axis, axis] += bias**2 - state.bias**2
+    filters = filters._replace(x=x, P=P)
+    return replace(state, filters=filters, lags=(float(lags[0]), float(lags[1])), bias=bias)
+
+
+def _likely_bias(state: OnlineState, filters: Filters, best: int) -> float:
+    """The deviation of the two level biases once the vertical one has been seen; it never shrinks.
+
+    The vertical bias shows in the magnitude of gravity, and a bad accelerometer is bad in all axes.
+    Inverse-gamma prior of the variance with two degrees of freedom, as for the whole drive.
+    """
+    down = BIAS + 2
+    if filters.P[best, down, down] > 0.25 * state.tuning.bias**2:
+        return state.bias
+    return max(state.bias, float(np.sqrt((2.0 * state.tuning.bias**2 + filters.x[best, down] ** 2) / 3.0)))
 
 
 def _likely(filters: Filters) -> Filters:
