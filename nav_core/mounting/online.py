@@ -22,6 +22,7 @@ from nav_core.mounting.online_model import (
     N_COLUMNS,
     SPEED_LAG,
     TURN,
+    UNLIKELY,
     Filters,
     Tuning,
     hypotheses,
@@ -40,9 +41,6 @@ LISTEN = 8.0
 
 KEEP = 6.0
 """How much of the raw stream before the last fix a state carries, s."""
-
-UNLIKELY = 12.0
-"""A hypothesis whose log likelihood is this far below the best's is dropped."""
 
 SAME_YAW = 0.4
 """Hypotheses that have come this near to the best are the same, rad; the best then stands alone once it is sure."""
@@ -208,19 +206,28 @@ def _window(record: Record, begin: float, end: float) -> Record:
 def _run_piece(works: list[_Work]) -> None:
     """Run all boxes' filters over their rows in one call, and take notes."""
     stacked, first, last, rows = stack([work.state.filters for work in works], [work.rows for work in works])
-    trace = np.zeros((rows.shape[0], 16))
+    steps = last - first
+    trace = np.zeros((int(steps.sum()), 4))
     run(stacked, rows, first, last, works[0].state.tuning, trace)
+    ends = np.cumsum(steps)
     begin = 0
     for work in works:
         assert work.state.filters is not None
+        assert work.state.place is not None
         end = begin + work.state.filters.x.shape[0]
         filters = Filters(*(column[begin:end] for column in stacked))
-        # While several hypotheses share the rows, the trace is that of any of them.
-        told = trace[first[begin] : last[begin]] if end == begin + 1 else trace[:0]
-        assert work.state.place is not None
+        told = trace[:0]
+        if settled(filters):
+            best = begin + filters.best
+            told = trace[ends[best] - steps[best] : ends[best]]
         tally = noted(work.state.tally, work.rows, work.state.place.fix, filters, told)
         work.state = replace(work.state, filters=filters, tally=tally)
         begin = end
+
+
+def settled(filters: Filters) -> bool:
+    """Whether one hypothesis is left; a mirrored one may stay beside it until a turn tells."""
+    return int(np.count_nonzero(filters.mirrored == filters.mirrored[filters.best])) == 1
 
 
 def stack(filters: Sequence[Filters | None], rows: Sequence[Floats]) -> tuple[Filters, Integers, Integers, Floats]:
@@ -238,7 +245,7 @@ def _looked_at(state: OnlineState) -> OnlineState:
     """Drop hypotheses and move the lags, at the end of a piece."""
     assert state.filters is not None
     filters = _likely(state.filters) if state.filters.x.shape[0] > 1 else state.filters
-    best = int(np.argmax(filters.likelihood))
+    best = filters.best
     shift = np.clip(filters.x[best, [SPEED_LAG, COURSE_LAG]], -LAG_STEP, LAG_STEP)
     lags = np.clip(np.add(state.lags, shift), 0.0, LONGEST_LAG)
     x, P = filters.x.copy(), filters.P.copy()
@@ -263,14 +270,18 @@ def _likely_bias(state: OnlineState, filters: Filters, best: int) -> float:
 
 
 def _likely(filters: Filters) -> Filters:
-    """The hypotheses that are still possible; one alone once all that are have come together."""
-    best = int(np.argmax(filters.likelihood))
+    """The hypotheses that are still possible; of those alike, the best once it is sure and they have come together."""
+    best = filters.best
     possible = filters.likelihood > filters.likelihood[best] - UNLIKELY
-    turns = Rotation.from_rotvec(filters.x[:, TURN : TURN + 3]) * Rotation.from_matrix(filters.R_va)
-    apart = (turns * turns[best].inv()).magnitude()
-    sure = filters.P[best, TURN + 2, TURN + 2] < SURE_YAW**2
-    if sure and np.all(apart[possible] < SAME_YAW):
-        possible = np.arange(possible.size) == best
+    mountings = Rotation.from_rotvec(filters.x[:, TURN : TURN + 3]).as_matrix() @ filters.R_va
+    for side in (False, True):
+        alike = np.flatnonzero(possible & (filters.mirrored == side))
+        if alike.size < 2:
+            continue
+        first = alike[np.argmax(filters.likelihood[alike])]
+        apart = np.arccos(np.clip(0.5 * (np.einsum("ij,kij->k", mountings[first], mountings[alike]) - 1.0), -1.0, 1.0))
+        if filters.P[first, TURN + 2, TURN + 2] < SURE_YAW**2 and np.all(apart < SAME_YAW):
+            possible[alike] = alike == first
     return Filters(*(column[possible] for column in filters))
 
 

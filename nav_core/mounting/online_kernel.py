@@ -368,10 +368,11 @@ def step(
 def run(filters: Filters, rows: Floats, first: Integers, last: Integers, tuning: Tuning, trace: Floats) -> None:
     """Run filter `i` over ``rows[first[i]:last[i]]``; overwrites the filters.
 
-    `trace` (rows, 16), or without rows if nobody wants to know, gets after each row the reference mounting (9), the
-    variances of the turn (3), the turn (3) and the change of speed that the force told.
+    `trace` (steps of all filters one after the other, 4), or without rows if nobody wants to know, gets after each
+    step the variances of the turn (3) and the change of speed that the force told.
     """
     F, V, spread = np.zeros((MOVING, N_STATES)), np.empty((4, 3)), np.empty(N_STATES)
+    done = 0
     for i in range(first.size):
         x, P, R, notes = filters.x[i], filters.P[i], filters.R_va[i], filters.notes[i]
         for k in range(first[i], last[i]):
@@ -379,8 +380,6 @@ def run(filters: Filters, rows: Floats, first: Integers, last: Integers, tuning:
             filters.likelihood[i] += likelihood
             if trace.shape[0] > 0:
                 for m in range(3):
-                    trace[k, 9 + m] = P[TURN + m, TURN + m]
-                    for n in range(3):
-                        trace[k, 3 * m + n] = R[m, n]
-                    trace[k, 12 + m] = x[TURN + m]
-                trace[k, 15] = forward
+                    trace[done, m] = P[TURN + m, TURN + m]
+                trace[done, 3] = forward
+                done += 1

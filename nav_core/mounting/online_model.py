@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 
 from nav_core.rotation import skew
-from nav_core.typing import Floats
+from nav_core.typing import Flags, Floats
 
 GRAVITY = 9.80665
 MILLI_G = 1e-3 * GRAVITY
@@ -121,7 +121,8 @@ class Filters(NamedTuple):
     x : ndarray, shape (b, 22)
     P : ndarray, shape (b, 22, 22)
     R_va : ndarray, shape (b, 3, 3)
-        Reference mountings; the states `TURN` are the small rotation about its V axes.
+        Reference mountings; the states `TURN` are the small rotation about its V axes.  A mirrored hypothesis
+        has a mirrored matrix: that of a box with left-handed axes or an inverted sign.
     likelihood : ndarray, shape (b,)
         Logarithm, of all measurements so far.
     notes : ndarray, shape (b, 5, 2)
@@ -134,9 +135,22 @@ class Filters(NamedTuple):
     likelihood: Floats
     notes: Floats
 
+    @property
+    def mirrored(self) -> Flags:
+        """Which hypotheses say that the box's data are mirrored, shape (b,)."""
+        return np.asarray(np.linalg.det(self.R_va) < 0.0)
+
+    @property
+    def best(self) -> int:
+        """The likeliest filter; a mirrored one must be so beyond doubt."""
+        return int(np.argmax(self.likelihood - UNLIKELY * self.mirrored))
+
+
+UNLIKELY = 12.0
+"""A hypothesis whose log likelihood is this far below the best's is dropped."""
 
 HYPOTHESES = 8
-"""Yaws at which the filter is started."""
+"""Yaws at which the filter is started, twice: see `Filters.R_va`."""
 
 
 def hypotheses(force: Floats, level: Floats, driven: tuple[float, float]) -> Floats:
@@ -153,7 +167,8 @@ def hypotheses(force: Floats, level: Floats, driven: tuple[float, float]) -> Flo
 
     Returns
     -------
-    ndarray, shape (8, 3, 3)
+    ndarray, shape (16, 3, 3)
+        Eight for the data as they are and eight for mirrored data.
     """
     expected = np.array([driven[0], driven[1], -GRAVITY])
     up, expected = level @ force, expected / np.linalg.norm(expected)
@@ -165,7 +180,11 @@ def hypotheses(force: Floats, level: Floats, driven: tuple[float, float]) -> Flo
     yaw = 2.0 * np.pi / HYPOTHESES * np.arange(HYPOTHESES)
     c, s, zero = np.cos(yaw), np.sin(yaw), np.zeros(HYPOTHESES)
     turns = np.stack([c, s, zero, -s, c, zero, zero, zero, zero + 1.0], axis=1).reshape(-1, 3, 3)
-    return tilt @ turns @ level
+    # Mirroring the vehicle's left and right leaves the vertical and what was driven along alone.
+    mirror = np.diag([1.0, -1.0, 1.0])
+    upright = tilt @ turns @ level
+    mirrored = tilt @ mirror @ turns @ level
+    return np.concatenate([upright, mirrored])
 
 
 def initial_filters(row: Floats, R_va: Floats, lags: tuple[float, float], tuning: Tuning) -> Filters:

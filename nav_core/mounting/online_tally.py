@@ -14,6 +14,7 @@ from nav_core.mounting.online_model import (
     GPS_SPEED,
     OF_CLIMB,
     OF_COURSE,
+    OF_SIDE,
     OF_SPEED,
     TURN,
     TURNED,
@@ -98,8 +99,8 @@ def noted(tally: Tally, rows: Floats, until: float, filters: Filters, trace: Flo
         Box time of the last row, s.
     filters : Filters
         After the piece.
-    trace : ndarray, shape (k, 16) or (0, 16)
-        Of the only filter; without rows while there are several.
+    trace : ndarray, shape (k, 4) or (0, 4)
+        Of the only filter that counts; without rows while there are several.
 
     Returns
     -------
@@ -118,7 +119,7 @@ def noted(tally: Tally, rows: Floats, until: float, filters: Filters, trace: Flo
     if trace.shape[0] == 0:
         sure_since = None
     else:
-        variance = trace[:, 9:12] * (widening(filters) ** 2) * (1.0 + SHORT / np.maximum(driven, 1.0))[:, None]
+        variance = trace[:, :3] * (widening(filters) ** 2) * (1.0 + SHORT / np.maximum(driven, 1.0))[:, None]
         variance += FLOOR**2 + np.array([CROWN**2, 0.0, 0.0])
         wide = np.flatnonzero((variance >= CONVERGED**2).any(axis=1))
         if wide.size:
@@ -127,7 +128,7 @@ def noted(tally: Tally, rows: Floats, until: float, filters: Filters, trace: Flo
             sure_since = float(driven[0])
     entry = np.empty((1, 14))
     entry[0, 0], entry[0, 1:10] = until, mounting_of(filters).ravel()
-    entry[0, 10] = trace[:, 15].sum()
+    entry[0, 10] = trace[:, 3].sum()
     entry[0, 11], entry[0, 12] = rows[:, GPS_CHANGE].sum(), rows[:, GPS_SPEED].min()
     entry[0, 13] = trace.shape[0] > 0 and not rows[:, BROKEN].any()
     trail = tally.trail
@@ -149,21 +150,21 @@ def noted(tally: Tally, rows: Floats, until: float, filters: Filters, trace: Flo
 
 def mounting_of(filters: Filters) -> Floats:
     """The likeliest filter's mounting, shape (3, 3)."""
-    best = int(np.argmax(filters.likelihood))
+    best = filters.best
     return Rotation.from_rotvec(filters.x[best, TURN : TURN + 3]).as_matrix() @ filters.R_va[best]
 
 
 def widening(filters: Filters) -> float:
     """Factor on sigma by which the innovations exceed what the filter expected of them."""
-    best = int(np.argmax(filters.likelihood))
+    best = filters.best
     misfit, count = filters.notes[best, :, 0], filters.notes[best, :, 1]
     ratio = (misfit + TRUST) / (count + TRUST)
-    return float(np.sqrt(max(ratio[[OF_SPEED, OF_CLIMB, OF_COURSE]].max(), 1.0)))
+    return float(np.sqrt(max(ratio[[OF_SPEED, OF_CLIMB, OF_COURSE, OF_SIDE]].max(), 1.0)))
 
 
 def covariance_of(filters: Filters, tally: Tally) -> Floats:
     """Covariance of the mounting with all that the filter does not know, rad², shape (3, 3)."""
-    best = int(np.argmax(filters.likelihood))
+    best = filters.best
     block = filters.P[best, TURN : TURN + 3, TURN : TURN + 3]
     covariance = block * widening(filters) ** 2 * (1.0 + SHORT / max(tally.driven, 1.0))
     return covariance + np.diag([FLOOR**2 + CROWN**2, FLOOR**2, FLOOR**2])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from nav_core.mounting.confidence import observability
-from nav_core.mounting.online import OnlineState, advance, begin
+from nav_core.mounting.online import OnlineState, advance, begin, settled
 from nav_core.mounting.online_model import SPEED_LAG
 from nav_core.mounting.online_stream import chunks_of
 from nav_core.mounting.online_tally import CONVERGED, covariance_of, mounting_of, recent_test, widening
@@ -23,6 +23,10 @@ USELESS = np.radians(15.0)
 
 ROUGH, MISMATCH = 1.5, 2.5
 """Widenings from which the data are called rough, and from which they are not those of a box fixed in a car."""
+
+MIRRORED = Reason(
+    "mirrored", "The accelerations fit a car only in a mirror: the box inverts their sign or has left-handed axes."
+)
 
 STEADY, STEADY_SPAN = np.radians(0.7), 60.0
 """Stable: the mounting of `STEADY_SPAN` seconds ago lies within this, rad."""
@@ -59,15 +63,15 @@ def assess(state: OnlineState) -> MountingEstimate:
     eventful = tally.along + tally.across
     progress = min(float(np.min(np.minimum((CONVERGED / sigma) ** 2, 1.0))), eventful / MIN_EVENTFUL, 1.0)
     strange = widening(filters)
-    if strange > MISMATCH:
-        return _without(min(progress, 0.2), (reason("mismatch"),))
-    if filters.x.shape[0] > 1 or sigma.max() > USELESS:
+    if strange > MISMATCH or filters.mirrored[filters.best]:
+        return _without(min(progress, 0.2), (reason("mismatch") if strange > MISMATCH else MIRRORED,))
+    if not settled(filters) or sigma.max() > USELESS:
         return _without(min(progress, 0.2), _missing(state, sigma))
     ready = bool(sigma.max() < CONVERGED) and eventful >= MIN_EVENTFUL
     reasons = () if ready else _missing(state, sigma)
     if not ready and strange > ROUGH:
         reasons = (*reasons, reason("rough"))
-    known = np.sqrt(np.diag(filters.P[0])[SPEED_LAG : SPEED_LAG + 2]) < LAG_KNOWN
+    known = np.sqrt(np.diag(filters.P[filters.best])[SPEED_LAG : SPEED_LAG + 2]) < LAG_KNOWN
     return MountingEstimate(
         "ready" if ready else "settling",
         "online",
