@@ -17,20 +17,29 @@ from nav_core.errors import ShapeError
 from nav_core.mounting.closed_form import level_basis
 from nav_core.mounting.online_kernel import run
 from nav_core.mounting.online_model import (
+    ACROSS,
+    ALONG,
+    BEYOND_DOUBT,
     BIAS,
     COURSE_LAG,
     N_COLUMNS,
+    OF_CLIMB,
+    OF_COURSE,
+    OF_SIDE,
+    OF_SPEED,
     SPEED_LAG,
     TURN,
     UNLIKELY,
+    UP,
     Filters,
     Tuning,
     hypotheses,
     initial_filters,
+    prior_sigma,
 )
 from nav_core.mounting.online_rows import HORIZON, SLOWEST, Place, ready_fixes, records_of, rows_of
 from nav_core.mounting.online_stream import Chunk, fixes_where, joined, ticks_since
-from nav_core.mounting.online_tally import PIECE, Tally, noted, piece_of
+from nav_core.mounting.online_tally import PIECE, Tally, innovation_ratios, moved_on, noted, piece_of
 from nav_core.mounting.stretch import Fixes, Record, gps_rate, unrolled
 from nav_core.records import Gnss
 from nav_core.signal import Ticks, merge
@@ -47,6 +56,12 @@ SAME_YAW = 0.4
 
 SURE_YAW = 0.12
 """rad."""
+
+ADAPTED_AFTER = 20.0
+"""s of driving before the innovations say how rough it is."""
+
+ROUGHEST = 20.0
+"""Most that noise is scaled by."""
 
 LAG_STEP = 0.1
 LONGEST_LAG = 2.5
@@ -221,6 +236,8 @@ def _run_piece(works: list[_Work]) -> None:
             best = begin + filters.best
             told = trace[ends[best] - steps[best] : ends[best]]
         tally = noted(work.state.tally, work.rows, work.state.place.fix, filters, told)
+        if told.shape[0] and work.state.filters.x.shape[0] == end - begin:
+            tally = moved_on(tally, work.state.filters, filters)
         work.state = replace(work.state, filters=filters, tally=tally)
         begin = end
 
@@ -242,7 +259,7 @@ def stack(filters: Sequence[Filters | None], rows: Sequence[Floats]) -> tuple[Fi
 
 
 def _looked_at(state: OnlineState) -> OnlineState:
-    """Drop hypotheses and move the lags, at the end of a piece."""
+    """Drop hypotheses, move the lags, and take the drive's own measure of noise and bias, at the end of a piece."""
     assert state.filters is not None
     filters = _likely(state.filters) if state.filters.x.shape[0] > 1 else state.filters
     best = filters.best
@@ -254,7 +271,29 @@ def _looked_at(state: OnlineState) -> OnlineState:
     for axis in (BIAS, BIAS + 1):
         P[:, axis, axis] += bias**2 - state.bias**2
     filters = filters._replace(x=x, P=P)
+    if settled(filters) and state.tally.driven > ADAPTED_AFTER:
+        filters = _adapted(filters, state.tuning)
     return replace(state, filters=filters, lags=(float(lags[0]), float(lags[1])), bias=bias)
+
+
+def _adapted(filters: Filters, tuning: Tuning) -> Filters:
+    """Noise levels moved towards what the innovations ask for; never below the tuning's.
+
+    Where they rise, what has been learned so far was believed too much: the covariance of the drive's
+    constants is widened along, up to what was known at the start.
+    """
+    ratio = innovation_ratios(filters)
+    wanted = np.where((ratio > 1.15) | (ratio < 0.8), np.clip(np.sqrt(ratio), 0.8, 1.6), 1.0)
+    scale = np.clip(filters.scale * wanted, 1.0, ROUGHEST)
+    factor = scale / filters.scale
+    notes, P = filters.notes.copy(), filters.P.copy()
+    for kind, of in ((OF_SPEED, ALONG), (OF_CLIMB, UP), (OF_COURSE, ACROSS), (OF_SIDE, ACROSS)):
+        notes[:, kind, 0] /= factor[:, of] ** 2
+    deviation = np.sqrt(np.einsum("kii->ki", P))
+    room = np.maximum(prior_sigma(tuning) / np.maximum(deviation, 1e-12), 1.0)
+    grown = np.minimum(np.maximum(factor.max(axis=1), 1.0)[:, None], room)
+    grown[:, :TURN] = 1.0
+    return filters._replace(scale=scale, notes=notes, P=P * grown[:, :, None] * grown[:, None, :])
 
 
 def _likely_bias(state: OnlineState, filters: Filters, best: int) -> float:
@@ -271,18 +310,22 @@ def _likely_bias(state: OnlineState, filters: Filters, best: int) -> float:
 
 def _likely(filters: Filters) -> Filters:
     """The hypotheses that are still possible; of those alike, the best once it is sure and they have come together."""
-    best = filters.best
-    possible = filters.likelihood > filters.likelihood[best] - UNLIKELY
+    margin = innovation_ratios(filters).max(initial=1.0)
     mountings = Rotation.from_rotvec(filters.x[:, TURN : TURN + 3]).as_matrix() @ filters.R_va
+    kept = np.zeros(filters.likelihood.size, dtype=np.bool_)
     for side in (False, True):
-        alike = np.flatnonzero(possible & (filters.mirrored == side))
-        if alike.size < 2:
+        alike = np.flatnonzero(filters.mirrored == side)
+        if not alike.size:
             continue
         first = alike[np.argmax(filters.likelihood[alike])]
-        apart = np.arccos(np.clip(0.5 * (np.einsum("ij,kij->k", mountings[first], mountings[alike]) - 1.0), -1.0, 1.0))
-        if filters.P[first, TURN + 2, TURN + 2] < SURE_YAW**2 and np.all(apart < SAME_YAW):
-            possible[alike] = alike == first
-    return Filters(*(column[possible] for column in filters))
+        if filters.likelihood[first] < filters.likelihood.max() - BEYOND_DOUBT * margin:
+            continue
+        alike = alike[filters.likelihood[alike] > filters.likelihood[first] - UNLIKELY * margin]
+        # The trace of a rotation by an angle is 1 + 2 cos; both are proper or both are mirrored.
+        together = np.einsum("ij,kij->k", mountings[first], mountings[alike]) > 1.0 + 2.0 * np.cos(SAME_YAW)
+        sure = filters.P[first, TURN + 2, TURN + 2] < SURE_YAW**2
+        kept[first if sure and together.all() else alike] = True
+    return Filters(*(column[kept] for column in filters))
 
 
 def _trimmed(state: OnlineState) -> OnlineState:

@@ -10,7 +10,9 @@ import numpy as np
 
 from nav_core.mounting.online_model import (
     ACCELERATION,
+    ACROSS,
     ACROSS_ERROR,
+    ALONG,
     BANK,
     BIAS,
     BROKEN,
@@ -55,6 +57,7 @@ from nav_core.mounting.online_model import (
     TURN,
     TURN_RATE,
     TURNED,
+    UP,
     WAY,
     Filters,
     Tuning,
@@ -142,7 +145,7 @@ def track_turn(row: Floats, V: Floats, tuning: Tuning) -> float:
 
 
 @kernel
-def predict(x: Floats, P: Floats, row: Floats, V: Floats, tuning: Tuning, F: Floats) -> float:
+def predict(x: Floats, P: Floats, row: Floats, V: Floats, tuning: Tuning, scale: Floats, F: Floats) -> float:
     """State and covariance over one step; returns the change of speed that the force tells, m/s."""
     transition(x, row, V, tuning, F)
     dt, slope = row[COVERED], x[SLOPE]
@@ -162,37 +165,39 @@ def predict(x: Floats, P: Floats, row: Floats, V: Floats, tuning: Tuning, F: Flo
     for i in range(MOVING):
         x[i] = moved[i]
     carry(P, F)
-    disturb(P, row, V, tuning, F)
+    disturb(P, row, V, tuning, scale, F)
     return forward
 
 
 @kernel
-def disturb(P: Floats, row: Floats, V: Floats, tuning: Tuning, F: Floats) -> None:
+def disturb(P: Floats, row: Floats, V: Floats, tuning: Tuning, scale: Floats, F: Floats) -> None:
     """Add the process noise of a step to `P`; to stationary processes, what the decay has lost."""
     dt, elapsed, d = row[COVERED], row[ELAPSED], row[WAY]
+    along, up, across = scale[ALONG] ** 2, scale[UP] ** 2, scale[ACROSS] ** 2
     white = tuning.force**2 * dt
-    P[SPEED, SPEED] += white + (tuning.relative * V[0, 0]) ** 2
-    P[CLIMB, CLIMB] += white
+    P[SPEED, SPEED] += along * (white + (tuning.relative * V[0, 0]) ** 2)
+    P[CLIMB, CLIMB] += up * white
     if row[BROKEN] > 0.0:
         P[SPEED, SPEED] += LOST
         P[CLIMB, CLIMB] += LOST
         P[HEIGHT, HEIGHT] += (0.02 * d) ** 2
-    s2, c2 = tuning.slope**2, (tuning.slope / tuning.slope_length) ** 2
+    s2 = along * tuning.slope**2
+    c2 = s2 / tuning.slope_length**2
     a, b, c, g = F[SLOPE, SLOPE], F[SLOPE, CURVE], F[CURVE, SLOPE], F[CURVE, CURVE]
     P[SLOPE, SLOPE] += s2 - a * a * s2 - b * b * c2
     P[CURVE, CURVE] += c2 - c * c * s2 - g * g * c2
     P[SLOPE, CURVE] -= a * c * s2 + b * g * c2
     P[CURVE, SLOPE] -= a * c * s2 + b * g * c2
-    P[BANK, BANK] += (1.0 - F[BANK, BANK] ** 2) * tuning.bank**2
+    P[BANK, BANK] += across * (1.0 - F[BANK, BANK] ** 2) * tuning.bank**2
     fresh = 1.0 - F[SPEED_ERROR, SPEED_ERROR] ** 2
-    P[SPEED_ERROR, SPEED_ERROR] += fresh * tuning.speed_slow**2
+    P[SPEED_ERROR, SPEED_ERROR] += along * fresh * tuning.speed_slow**2
     P[HEIGHT_ERROR, HEIGHT_ERROR] += fresh * tuning.height_slow**2
-    P[ACROSS_ERROR, ACROSS_ERROR] += fresh * tuning.across_slow**2
-    P[TRACK, TRACK] += (tuning.relative_turn * track_turn(row, V, tuning)) ** 2
+    P[ACROSS_ERROR, ACROSS_ERROR] += across * fresh * tuning.across_slow**2
+    P[TRACK, TRACK] += across * (tuning.relative_turn * track_turn(row, V, tuning)) ** 2
     if V[2, 2] == V[2, 2]:
         P[TRACK, TRACK] += tuning.gyro**2 * elapsed
     elif dt > 0.0:
-        P[TRACK, TRACK] += white * (row[PER_SPEED] / dt) ** 2
+        P[TRACK, TRACK] += across * white * (row[PER_SPEED] / dt) ** 2
     if row[TRACK_LOST] > 0.0:
         P[TRACK, TRACK] += TRACK_ANEW
     for i in range(3):
@@ -259,7 +264,7 @@ def assimilate(
 
 
 @kernel
-def receive(x: Floats, P: Floats, row: Floats, tuning: Tuning, notes: Floats, spread: Floats) -> float:
+def receive(x: Floats, P: Floats, row: Floats, tuning: Tuning, scale: Floats, notes: Floats, spread: Floats) -> float:
     """The receiver's speed, height and course, and that climb is speed times slope; returns the log likelihood."""
     v = row[GPS_SPEED]
     total = 0.0
@@ -269,27 +274,31 @@ def receive(x: Floats, P: Floats, row: Floats, tuning: Tuning, notes: Floats, sp
     else:
         three, h = np.array([SPEED, SPEED_ERROR, SPEED_LAG]), np.array([1.0, 1.0, -row[ACCELERATION]])
         nu = v - x[SPEED] - x[SPEED_ERROR] + row[ACCELERATION] * x[SPEED_LAG]
-        total += assimilate(x, P, three, h, nu, tuning.speed_white**2, tuning.limit, notes[OF_SPEED], spread)
+        total += assimilate(
+            x, P, three, h, nu, (tuning.speed_white * scale[ALONG]) ** 2, tuning.limit, notes[OF_SPEED], spread
+        )
     if row[GPS_HEIGHT] == row[GPS_HEIGHT]:
         two, h = np.array([HEIGHT, HEIGHT_ERROR]), np.ones(2)
         nu = row[GPS_HEIGHT] - x[HEIGHT] - x[HEIGHT_ERROR]
         total += assimilate(x, P, two, h, nu, tuning.height_white**2, tuning.limit, notes[OF_HEIGHT], spread)
     two, h = np.array([CLIMB, SLOPE]), np.array([1.0, v])
     nu = -x[CLIMB] - v * x[SLOPE]
-    total += assimilate(x, P, two, h, nu, tuning.heave**2, tuning.limit, notes[OF_CLIMB], spread)
+    total += assimilate(x, P, two, h, nu, (tuning.heave * scale[UP]) ** 2, tuning.limit, notes[OF_CLIMB], spread)
     if row[GPS_COURSE] == row[GPS_COURSE]:
         now = 1.0 / max(v, COURSE_FLOOR)
         w = row[TURN_RATE]
         three, h = np.array([TRACK, ACROSS_ERROR, COURSE_LAG]), np.array([1.0, now, -w])
         nu = row[GPS_COURSE] - x[TRACK] - now * x[ACROSS_ERROR] + w * x[COURSE_LAG]
         nu -= 2.0 * np.pi * np.round(nu / (2.0 * np.pi))
-        r = (tuning.across_white * now) ** 2 + 1e-6
+        r = (tuning.across_white * scale[ACROSS] * now) ** 2 + 1e-6
         total += assimilate(x, P, three, h, nu, r, tuning.limit, notes[OF_COURSE], spread)
     return total
 
 
 @kernel
-def compare_gyro(x: Floats, P: Floats, row: Floats, V: Floats, tuning: Tuning, notes: Floats, spread: Floats) -> float:
+def compare_gyro(
+    x: Floats, P: Floats, row: Floats, V: Floats, tuning: Tuning, scale: Floats, notes: Floats, spread: Floats
+) -> float:
     """Turn by the side force against turn by the gyro; at rest, the gyro against nothing."""
     p, w, change = V[1], V[2], V[3]
     elapsed, inverse = row[ELAPSED], row[PER_SPEED]
@@ -319,7 +328,8 @@ def compare_gyro(x: Floats, P: Floats, row: Floats, V: Floats, tuning: Tuning, n
     nu = felt - w[2] - tuning.lever * change[2]
     for k in range(columns.size):
         nu -= h[k] * x[columns[k]]
-    r = tuning.force**2 * inverse**2 / row[COVERED] + (tuning.relative_turn * felt) ** 2 + tuning.gyro**2 * elapsed
+    r = tuning.force**2 * inverse**2 / row[COVERED] + (tuning.relative_turn * felt) ** 2
+    r = scale[ACROSS] ** 2 * r + tuning.gyro**2 * elapsed
     return assimilate(x, P, columns, h, nu, r, tuning.limit, notes[OF_SIDE], spread)
 
 
@@ -350,14 +360,23 @@ def move_reference(x: Floats, P: Floats, R: Floats) -> None:
 
 @kernel
 def step(
-    x: Floats, P: Floats, R: Floats, row: Floats, tuning: Tuning, notes: Floats, F: Floats, V: Floats, spread: Floats
+    x: Floats,
+    P: Floats,
+    R: Floats,
+    row: Floats,
+    tuning: Tuning,
+    scale: Floats,
+    notes: Floats,
+    F: Floats,
+    V: Floats,
+    spread: Floats,
 ) -> tuple[float, float]:
     """One fix: returns the log likelihood and the change of speed that the force told, m/s."""
     vectors(R, row, V)
-    forward = predict(x, P, row, V, tuning, F)
-    likelihood = receive(x, P, row, tuning, notes, spread)
+    forward = predict(x, P, row, V, tuning, scale, F)
+    likelihood = receive(x, P, row, tuning, scale, notes, spread)
     if V[2, 2] == V[2, 2]:
-        likelihood += compare_gyro(x, P, row, V, tuning, notes, spread)
+        likelihood += compare_gyro(x, P, row, V, tuning, scale, notes, spread)
     x[SPEED] = max(x[SPEED], 0.0)
     if x[TURN] ** 2 + x[TURN + 1] ** 2 + x[TURN + 2] ** 2 > FOLLOW**2:
         move_reference(x, P, R)
@@ -376,7 +395,7 @@ def run(filters: Filters, rows: Floats, first: Integers, last: Integers, tuning:
     for i in range(first.size):
         x, P, R, notes = filters.x[i], filters.P[i], filters.R_va[i], filters.notes[i]
         for k in range(first[i], last[i]):
-            likelihood, forward = step(x, P, R, rows[k], tuning, notes, F, V, spread)
+            likelihood, forward = step(x, P, R, rows[k], tuning, filters.scale[i], notes, F, V, spread)
             filters.likelihood[i] += likelihood
             if trace.shape[0] > 0:
                 for m in range(3):

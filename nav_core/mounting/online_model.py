@@ -53,6 +53,8 @@ SIDE: integral of v' w / v², rad/m.
 GYRO (3): integral of the angular rate, rad.  GYRO_PER_SPEED (3): change of rate over speed, rad/m.  NaN: no gyro.
 """
 
+ALONG, UP, ACROSS = range(3)
+
 # Kinds of measurement in the innovation statistics.
 OF_SPEED, OF_HEIGHT, OF_CLIMB, OF_COURSE, OF_SIDE = range(5)
 N_KINDS = 5
@@ -125,6 +127,8 @@ class Filters(NamedTuple):
         has a mirrored matrix: that of a box with left-handed axes or an inverted sign.
     likelihood : ndarray, shape (b,)
         Logarithm, of all measurements so far.
+    scale : ndarray, shape (b, 3)
+        How many times noisier than the tuning the drive is, along, up and across.
     notes : ndarray, shape (b, 5, 2)
         Squared normalised innovations and their number, fading, by kind.
     """
@@ -133,6 +137,7 @@ class Filters(NamedTuple):
     P: Floats
     R_va: Floats
     likelihood: Floats
+    scale: Floats
     notes: Floats
 
     @property
@@ -143,11 +148,13 @@ class Filters(NamedTuple):
     @property
     def best(self) -> int:
         """The likeliest filter; a mirrored one must be so beyond doubt."""
-        return int(np.argmax(self.likelihood - UNLIKELY * self.mirrored))
+        return int(np.argmax(self.likelihood - BEYOND_DOUBT * self.mirrored))
 
 
 UNLIKELY = 12.0
-"""A hypothesis whose log likelihood is this far below the best's is dropped."""
+BEYOND_DOUBT = 40.0
+"""A hypothesis whose log likelihood is this far below the best's of its kind is dropped; one kind, mirrored or not,
+in favour of the other only beyond doubt: the first bends of a road may by chance bank either way."""
 
 HYPOTHESES = 8
 """Yaws at which the filter is started, twice: see `Filters.R_va`."""
@@ -187,6 +194,19 @@ def hypotheses(force: Floats, level: Floats, driven: tuple[float, float]) -> Flo
     return np.concatenate([upright, mirrored])
 
 
+def prior_sigma(tuning: Tuning) -> Floats:
+    """Standard deviations of the states at the first fix, shape (22,)."""
+    sigma = np.zeros(N_STATES)
+    sigma[[SPEED, CLIMB, SLOPE, CURVE]] = 0.2, 0.5, tuning.slope, tuning.slope / tuning.slope_length
+    sigma[[HEIGHT, SPEED_ERROR, HEIGHT_ERROR]] = 5.0, tuning.speed_slow, tuning.height_slow
+    sigma[[TRACK, BANK, ACROSS_ERROR]] = 10.0, tuning.bank, tuning.across_slow
+    sigma[TURN : TURN + 3] = tuning.tilt, tuning.tilt, tuning.yaw
+    sigma[BIAS : BIAS + 3] = tuning.bias
+    sigma[[PITCH_GAIN, ROLL_GAIN, LEVER]] = tuning.pitch_gain_sigma, tuning.roll_gain_sigma, tuning.lever_sigma
+    sigma[[SPEED_LAG, COURSE_LAG, GYRO_BIAS]] = tuning.lag_sigma, tuning.lag_sigma, tuning.gyro_bias
+    return sigma
+
+
 def initial_filters(row: Floats, R_va: Floats, lags: tuple[float, float], tuning: Tuning) -> Filters:
     """Filters at the first fix, one for each yaw hypothesis.
 
@@ -204,24 +224,18 @@ def initial_filters(row: Floats, R_va: Floats, lags: tuple[float, float], tuning
     -------
     Filters
     """
-    x, sigma = np.zeros(N_STATES), np.zeros(N_STATES)
+    x, sigma = np.zeros(N_STATES), prior_sigma(tuning)
     course = row[GPS_COURSE]
     known = bool(np.isfinite(course))
     x[SPEED], x[HEIGHT] = row[GPS_SPEED], np.nan_to_num(row[GPS_HEIGHT])
     x[TRACK] = course if known else 0.0
     x[[SPEED_LAG, COURSE_LAG]] = tuning.lag - lags[0], tuning.lag - lags[1]
-    sigma[[SPEED, CLIMB, SLOPE, CURVE]] = 0.2, 0.5, tuning.slope, tuning.slope / tuning.slope_length
-    sigma[[HEIGHT, SPEED_ERROR, HEIGHT_ERROR]] = 5.0, tuning.speed_slow, tuning.height_slow
-    sigma[[TRACK, BANK, ACROSS_ERROR]] = 10.0, tuning.bank, tuning.across_slow
-    sigma[TURN : TURN + 3] = tuning.tilt, tuning.tilt, tuning.yaw
-    sigma[BIAS : BIAS + 3] = tuning.bias
-    sigma[[PITCH_GAIN, ROLL_GAIN, LEVER]] = tuning.pitch_gain_sigma, tuning.roll_gain_sigma, tuning.lever_sigma
-    sigma[[SPEED_LAG, COURSE_LAG, GYRO_BIAS]] = tuning.lag_sigma, tuning.lag_sigma, tuning.gyro_bias
     count = R_va.shape[0]
     return Filters(
         x=np.tile(x, (count, 1)),
         P=np.tile(np.diag(sigma**2), (count, 1, 1)),
         R_va=R_va.copy(),
         likelihood=np.zeros(count),
+        scale=np.ones((count, 3)),
         notes=np.zeros((count, N_KINDS, 2)),
     )

@@ -67,35 +67,39 @@ def transition(x: Floats, row: Floats, R_va: Floats, tuning: Tuning) -> tuple[Fl
     return F, u, jacobian
 
 
-def process_noise(row: Floats, F: Floats, u: Floats, f_along: float, tuning: Tuning) -> Floats:
+def process_noise(row: Floats, F: Floats, u: Floats, f_along: float, tuning: Tuning, scale: Floats) -> Floats:
     """Q of a step: white noise of the force, what the model may miss, what keeps stationary processes so."""
     dt, elapsed = row[m.COVERED], row[m.ELAPSED]
+    along, up, across = scale**2
     rest = np.zeros((m.N_STATES, m.N_STATES))
-    rest[ROAD, ROAD] = np.diag([tuning.slope**2, (tuning.slope / tuning.slope_length) ** 2])
-    rest[m.BANK, m.BANK] = tuning.bank**2
-    for slow, sigma in (
-        (m.SPEED_ERROR, tuning.speed_slow),
-        (m.HEIGHT_ERROR, tuning.height_slow),
-        (m.ACROSS_ERROR, tuning.across_slow),
+    rest[ROAD, ROAD] = along * np.diag([tuning.slope**2, (tuning.slope / tuning.slope_length) ** 2])
+    rest[m.BANK, m.BANK] = across * tuning.bank**2
+    for slow, variance in (
+        (m.SPEED_ERROR, along * tuning.speed_slow**2),
+        (m.HEIGHT_ERROR, tuning.height_slow**2),
+        (m.ACROSS_ERROR, across * tuning.across_slow**2),
     ):
-        rest[slow, slow] = sigma**2
+        rest[slow, slow] = variance
     keep = np.array([m.SLOPE, m.CURVE, m.BANK, m.SPEED_ERROR, m.HEIGHT_ERROR, m.ACROSS_ERROR])
     Q = np.zeros_like(rest)
     block = np.ix_(keep, keep)
     Q[block] = rest[block] - F[block] @ rest[block] @ F[block].T
     white = tuning.force**2 * dt
     diagonal = np.zeros(m.N_STATES)
-    diagonal[m.SPEED] = white + (tuning.relative * f_along) ** 2 + LOST * row[m.BROKEN]
-    diagonal[m.CLIMB] = white + LOST * row[m.BROKEN]
+    diagonal[m.SPEED] = along * (white + (tuning.relative * f_along) ** 2) + LOST * row[m.BROKEN]
+    diagonal[m.CLIMB] = up * white + LOST * row[m.BROKEN]
     diagonal[m.HEIGHT] = (0.02 * row[m.WAY]) ** 2 * row[m.BROKEN]
-    turning = tuning.gyro**2 * elapsed if _has_gyro(row) else white * (row[m.PER_SPEED] / dt) ** 2 if dt > 0.0 else 0.0
-    diagonal[m.TRACK] = (tuning.relative_turn * u[m.TRACK]) ** 2 + turning + TRACK_ANEW * row[m.TRACK_LOST]
+    turning = tuning.gyro**2 * elapsed
+    if not _has_gyro(row):
+        turning = across * white * (row[m.PER_SPEED] / dt) ** 2 if dt > 0.0 else 0.0
+    missed = across * (tuning.relative_turn * u[m.TRACK]) ** 2
+    diagonal[m.TRACK] = missed + turning + TRACK_ANEW * row[m.TRACK_LOST]
     diagonal[BIASES] = tuning.drift**2 * elapsed
     diagonal[m.GYRO_BIAS] = tuning.gyro_drift**2 * elapsed
     return Q + np.diag(diagonal)
 
 
-def measurements(row: Floats, R_va: Floats, tuning: Tuning) -> list[tuple[int, Floats, float, float]]:
+def measurements(row: Floats, R_va: Floats, tuning: Tuning, scale: Floats) -> list[tuple[int, Floats, float, float]]:
     """What a row says, in order: kind, row of H, measured less constant, variance."""
     out: list[tuple[int, Floats, float, float]] = []
 
@@ -109,14 +113,14 @@ def measurements(row: Floats, R_va: Floats, tuning: Tuning) -> list[tuple[int, F
         add(m.OF_SPEED, {m.SPEED: 1.0}, 0.0, tuning.rest**2)
     else:
         entries = {m.SPEED: 1.0, m.SPEED_ERROR: 1.0, m.SPEED_LAG: -float(row[m.ACCELERATION])}
-        add(m.OF_SPEED, entries, v, tuning.speed_white**2)
+        add(m.OF_SPEED, entries, v, (scale[m.ALONG] * tuning.speed_white) ** 2)
     if np.isfinite(row[m.GPS_HEIGHT]):
         add(m.OF_HEIGHT, {m.HEIGHT: 1.0, m.HEIGHT_ERROR: 1.0}, float(row[m.GPS_HEIGHT]), tuning.height_white**2)
-    add(m.OF_CLIMB, {m.CLIMB: 1.0, m.SLOPE: v}, 0.0, tuning.heave**2)
+    add(m.OF_CLIMB, {m.CLIMB: 1.0, m.SLOPE: v}, 0.0, (scale[m.UP] * tuning.heave) ** 2)
     if np.isfinite(row[m.GPS_COURSE]):
         now = 1.0 / max(v, COURSE_FLOOR)
         entries = {m.TRACK: 1.0, m.ACROSS_ERROR: now, m.COURSE_LAG: -float(row[m.TURN_RATE])}
-        add(m.OF_COURSE, entries, float(row[m.GPS_COURSE]), (tuning.across_white * now) ** 2 + 1e-6)
+        add(m.OF_COURSE, entries, float(row[m.GPS_COURSE]), (scale[m.ACROSS] * tuning.across_white * now) ** 2 + 1e-6)
     if _has_gyro(row):
         w, change = _three(row, m.GYRO, R_va), _three(row, m.GYRO_PER_SPEED, R_va)
         p, elapsed = _three(row, m.FORCE_PER_SPEED, R_va), float(row[m.ELAPSED])
@@ -133,7 +137,7 @@ def measurements(row: Floats, R_va: Floats, tuning: Tuning) -> list[tuple[int, F
             H[[m.LEVER, m.GYRO_BIAS]] = change[2] + row[m.SIDE], -elapsed
             r = tuning.force**2 * inverse**2 / row[m.COVERED] + (tuning.relative_turn * felt) ** 2
             y = felt - float(w[2]) - tuning.lever * float(change[2])
-            out.append((m.OF_SIDE, H, y, float(r) + tuning.gyro**2 * elapsed))
+            out.append((m.OF_SIDE, H, y, scale[m.ACROSS] ** 2 * float(r) + tuning.gyro**2 * elapsed))
     return out
 
 
@@ -142,9 +146,9 @@ def step(filters: Filters, row: Floats, tuning: Tuning) -> Filters:
     x, cov, R_va = filters.x[0].copy(), filters.P[0], filters.R_va[0]
     notes, likelihood = filters.notes[0].copy(), float(filters.likelihood[0])
     F, u, jacobian = transition(x, row, R_va, tuning)
-    Q = process_noise(row, F, u, float(_three(row, m.FORCE, R_va)[0]), tuning)
+    Q = process_noise(row, F, u, float(_three(row, m.FORCE, R_va)[0]), tuning, filters.scale[0])
     x, cov = F @ x + u, jacobian @ cov @ jacobian.T + Q
-    for kind, H, y, r in measurements(row, R_va, tuning):
+    for kind, H, y, r in measurements(row, R_va, tuning, filters.scale[0]):
         nu = y - H @ x
         nu = float(wrap(np.array(nu))) if kind == m.OF_COURSE else float(nu)
         S = float(H @ cov @ H) + r
@@ -164,4 +168,4 @@ def step(filters: Filters, row: Floats, tuning: Tuning) -> Filters:
         T[BIASES, BIASES] = turn
         x, cov = T @ x, T @ cov @ T.T
         x[AXES] = 0.0
-    return Filters(x[None], cov[None], R_va[None], np.array([likelihood]), notes[None])
+    return Filters(x[None], cov[None], R_va[None], np.array([likelihood]), filters.scale, notes[None])

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from nav_core.mounting.online_kernel import CLIPPED
 from nav_core.mounting.online_model import (
     BROKEN,
     ELAPSED,
@@ -46,6 +47,12 @@ SHORT = 20.0
 TRUST = 40.0
 """So many innovations of the expected size come before the drive's own."""
 
+SETTLING = np.radians(6.0)
+LEAST_SHARE = 0.003
+CALM = 8.0
+"""Moves count once sigma is under the first, rad, and while its square shrinks by more than the second share; so many
+moves of the expected size come before the drive's own."""
+
 REMEMBERED = 14
 """Pieces of the past that are kept."""
 
@@ -56,6 +63,10 @@ SLOWEST = 3.0
 def piece_of(t: float) -> float:
     """Number of the piece that a box time falls into."""
     return float(np.floor(t / PIECE))
+
+
+def _no_moves() -> Floats:
+    return np.zeros((3, 2))
 
 
 def _no_trail() -> Floats:
@@ -74,6 +85,8 @@ class Tally:
         Sum of all turning, rad.
     sure_since : float, optional
         `driven` from which on every sigma has stayed under `CONVERGED`, s.
+    restless : ndarray, shape (3, 2)
+        Squared moves of the estimate over the variance that they should have, and their number, by axis.
     trail : ndarray, shape (k, 14)
         One row for each of the last pieces: box time, mounting (9), change of speed as the force told it,
         GPS change, least speed, sound (1) or broken (0).
@@ -85,6 +98,7 @@ class Tally:
     across: float = 0.0
     turned: float = 0.0
     sure_since: float | None = None
+    restless: Floats = field(default_factory=_no_moves)
     trail: Floats = field(default_factory=_no_trail)
 
 
@@ -119,7 +133,11 @@ def noted(tally: Tally, rows: Floats, until: float, filters: Filters, trace: Flo
     if trace.shape[0] == 0:
         sure_since = None
     else:
-        variance = trace[:, :3] * (widening(filters) ** 2) * (1.0 + SHORT / np.maximum(driven, 1.0))[:, None]
+        variance = (
+            trace[:, :3]
+            * (widening(filters) * restlessness(tally)) ** 2
+            * (1.0 + SHORT / np.maximum(driven, 1.0))[:, None]
+        )
         variance += FLOOR**2 + np.array([CROWN**2, 0.0, 0.0])
         wide = np.flatnonzero((variance >= CONVERGED**2).any(axis=1))
         if wide.size:
@@ -148,6 +166,29 @@ def noted(tally: Tally, rows: Floats, until: float, filters: Filters, trace: Flo
     )
 
 
+def moved_on(tally: Tally, before: Filters, after: Filters) -> Tally:
+    """The tally with the estimate's move between two looks at it.
+
+    An estimate that is worth its covariance moves by as much as the covariance shrinks.
+    """
+    one, other = before.best, after.best
+    if before.mirrored[one] != after.mirrored[other]:
+        return tally
+    shrunk = np.diag(before.P[one] - after.P[other])[TURN : TURN + 3]
+    known = np.diag(after.P[other])[TURN : TURN + 3]
+    move = Rotation.from_matrix(mounting_of(after) @ mounting_of(before).T).as_rotvec()
+    telling = (known < SETTLING**2) & (shrunk > LEAST_SHARE * known)
+    restless = tally.restless.copy()
+    restless[telling, 0] += np.minimum(move[telling] ** 2 / shrunk[telling], CLIPPED)
+    restless[telling, 1] += 1.0
+    return replace(tally, restless=restless)
+
+
+def restlessness(tally: Tally) -> Floats:
+    """Factor on sigma by which the estimate has moved more than its covariance said, by axis, shape (3,)."""
+    return np.sqrt(np.maximum((tally.restless[:, 0] + CALM) / (tally.restless[:, 1] + CALM), 1.0))
+
+
 def mounting_of(filters: Filters) -> Floats:
     """The likeliest filter's mounting, shape (3, 3)."""
     best = filters.best
@@ -156,17 +197,22 @@ def mounting_of(filters: Filters) -> Floats:
 
 def widening(filters: Filters) -> float:
     """Factor on sigma by which the innovations exceed what the filter expected of them."""
-    best = filters.best
-    misfit, count = filters.notes[best, :, 0], filters.notes[best, :, 1]
-    ratio = (misfit + TRUST) / (count + TRUST)
-    return float(np.sqrt(max(ratio[[OF_SPEED, OF_CLIMB, OF_COURSE, OF_SIDE]].max(), 1.0)))
+    return float(np.sqrt(max(innovation_ratios(filters).max(), 1.0)))
+
+
+def innovation_ratios(filters: Filters) -> Floats:
+    """Mean square of the likeliest filter's normalised innovations along, up and across, shape (3,)."""
+    notes = filters.notes[filters.best]
+    ratio = (notes[:, 0] + TRUST) / (notes[:, 1] + TRUST)
+    return np.array([ratio[OF_SPEED], ratio[OF_CLIMB], max(ratio[OF_COURSE], ratio[OF_SIDE])])
 
 
 def covariance_of(filters: Filters, tally: Tally) -> Floats:
     """Covariance of the mounting with all that the filter does not know, rad², shape (3, 3)."""
     best = filters.best
     block = filters.P[best, TURN : TURN + 3, TURN : TURN + 3]
-    covariance = block * widening(filters) ** 2 * (1.0 + SHORT / max(tally.driven, 1.0))
+    factor = widening(filters) * restlessness(tally)
+    covariance = block * np.outer(factor, factor) * (1.0 + SHORT / max(tally.driven, 1.0))
     return covariance + np.diag([FLOOR**2 + CROWN**2, FLOOR**2, FLOOR**2])
 
 

@@ -6,9 +6,9 @@ import numpy as np
 
 from nav_core.mounting.confidence import observability
 from nav_core.mounting.online import OnlineState, advance, begin, settled
-from nav_core.mounting.online_model import SPEED_LAG
+from nav_core.mounting.online_model import ACROSS, ALONG, BIAS, GRAVITY, SPEED_LAG, Filters
 from nav_core.mounting.online_stream import chunks_of
-from nav_core.mounting.online_tally import CONVERGED, covariance_of, mounting_of, recent_test, widening
+from nav_core.mounting.online_tally import CONVERGED, covariance_of, mounting_of, recent_test, restlessness, widening
 from nav_core.mounting.quality import reason
 from nav_core.records import Drive, MountingEstimate, Reason
 from nav_core.rotation import angle_between
@@ -21,12 +21,20 @@ MIN_EVENTFUL = 8.0
 USELESS = np.radians(15.0)
 """An axis with a larger sigma is not known at all, rad."""
 
-ROUGH, MISMATCH = 1.5, 2.5
-"""Widenings from which the data are called rough, and from which they are not those of a box fixed in a car."""
+ROUGH, MISMATCH = 3.0, 10.0
+"""How many times the usual noise is called rough, and is no longer that of a box fixed in a car."""
+
+RESTLESS = 2.0
+"""An estimate that moves this much more than its covariance admits contradicts itself."""
+
+NO_GRAVITY = 0.5 * GRAVITY
+"""A vertical bias beyond this is a wrong unit and no bias, m/s²."""
 
 MIRRORED = Reason(
     "mirrored", "The accelerations fit a car only in a mirror: the box inverts their sign or has left-handed axes."
 )
+
+UNIT = Reason("unit", "The accelerometer does not show gravity: check the unit of its data.")
 
 STEADY, STEADY_SPAN = np.radians(0.7), 60.0
 """Stable: the mounting of `STEADY_SPAN` seconds ago lies within this, rad."""
@@ -62,13 +70,15 @@ def assess(state: OnlineState) -> MountingEstimate:
     sigma = np.sqrt(np.diag(covariance))
     eventful = tally.along + tally.across
     progress = min(float(np.min(np.minimum((CONVERGED / sigma) ** 2, 1.0))), eventful / MIN_EVENTFUL, 1.0)
-    strange = widening(filters)
-    if strange > MISMATCH or filters.mirrored[filters.best]:
-        return _without(min(progress, 0.2), (reason("mismatch") if strange > MISMATCH else MIRRORED,))
+    strange = widening(filters) * float(filters.scale[filters.best, [ALONG, ACROSS]].max())
+    foreign = _foreign(filters, strange)
+    if foreign is not None:
+        return _without(min(progress, 0.2), (foreign,))
     if not settled(filters) or sigma.max() > USELESS:
         return _without(min(progress, 0.2), _missing(state, sigma))
-    ready = bool(sigma.max() < CONVERGED) and eventful >= MIN_EVENTFUL
-    reasons = () if ready else _missing(state, sigma)
+    restless = bool(restlessness(tally).max() > RESTLESS)
+    ready = bool(sigma.max() < CONVERGED) and eventful >= MIN_EVENTFUL and not restless
+    reasons = () if ready else (reason("contradiction"),) if restless else _missing(state, sigma)
     if not ready and strange > ROUGH:
         reasons = (*reasons, reason("rough"))
     known = np.sqrt(np.diag(filters.P[filters.best])[SPEED_LAG : SPEED_LAG + 2]) < LAG_KNOWN
@@ -87,6 +97,15 @@ def assess(state: OnlineState) -> MountingEstimate:
         course_lag=state.lags[1] if known[1] else None,
         reasons=reasons,
     )
+
+
+def _foreign(filters: Filters, strange: float) -> Reason | None:
+    """Why the data are not those of a box fixed in a car, if they are not."""
+    if abs(filters.x[filters.best, BIAS + 2]) > NO_GRAVITY:
+        return UNIT
+    if strange > MISMATCH:
+        return reason("mismatch")
+    return MIRRORED if filters.mirrored[filters.best] else None
 
 
 def _is_stable(state: OnlineState) -> bool:
