@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import get_args
+
 from nav_core.errors import NavigationError
 from nav_core.records import Drive, MountingEstimate, MountingMethod
 
@@ -45,7 +47,11 @@ def estimate_mounting(drive: Drive, *, method: MountingMethod = "whole-drive") -
 
         return estimate_thesis(drive)
     if method == "online":
-        from nav_core.mounting.online_verdict import estimate
+        from nav_core.mounting.online_verdict import estimate as estimate_online
 
-        return estimate(drive)
-    raise UnknownMethodError(method, ("whole-drive", "mekf"))
+        return estimate_online(drive)
+    if method == "two-phase":
+        from nav_core.mounting.two_phase import estimate as estimate_in_two_phases
+
+        return estimate_in_two_phases(drive)
+    raise UnknownMethodError(method, get_args(MountingMethod))

@@ -143,11 +143,15 @@ class Filters(NamedTuple):
     @property
     def mirrored(self) -> Flags:
         """Which hypotheses say that the box's data are mirrored, shape (b,)."""
-        return np.asarray(np.linalg.det(self.R_va) < 0.0)
+        x, y, z = self.R_va[:, 0], self.R_va[:, 1], self.R_va[:, 2]
+        handed = x[:, 0] * (y[:, 1] * z[:, 2] - y[:, 2] * z[:, 1]) - x[:, 1] * (y[:, 0] * z[:, 2] - y[:, 2] * z[:, 0])
+        return handed + x[:, 2] * (y[:, 0] * z[:, 1] - y[:, 1] * z[:, 0]) < 0.0
 
     @property
     def best(self) -> int:
         """The likeliest filter; a mirrored one must be so beyond doubt."""
+        if self.likelihood.size == 1:
+            return 0
         return int(np.argmax(self.likelihood - BEYOND_DOUBT * self.mirrored))
 
 

@@ -176,7 +176,8 @@ def moved_on(tally: Tally, before: Filters, after: Filters) -> Tally:
         return tally
     shrunk = np.diag(before.P[one] - after.P[other])[TURN : TURN + 3]
     known = np.diag(after.P[other])[TURN : TURN + 3]
-    move = Rotation.from_matrix(mounting_of(after) @ mounting_of(before).T).as_rotvec()
+    R = mounting_of(after) @ mounting_of(before).T
+    move = 0.5 * np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
     telling = (known < SETTLING**2) & (shrunk > LEAST_SHARE * known)
     restless = tally.restless.copy()
     restless[telling, 0] += np.minimum(move[telling] ** 2 / shrunk[telling], CLIPPED)

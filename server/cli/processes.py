@@ -73,7 +73,7 @@ def warm_up(args: argparse.Namespace) -> int:
     from nav_core.mounting import estimate_mounting
     from nav_core.simulate import Scenario, simulate
 
-    drive, _ = simulate(Scenario(duration=60.0, accel_rate=50.0), seed=0)
-    for method in ("whole-drive", "mekf"):
+    drive, _ = simulate(Scenario(duration=60.0, accel_rate=50.0, with_gyro=True), seed=0)
+    for method in ("whole-drive", "online", "mekf"):
         estimate_mounting(drive, method=method)
     return 0
