@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import get_args
+
 from nav_core.errors import NavigationError
 from nav_core.records import Drive, MountingEstimate, MountingMethod
 
@@ -22,8 +24,9 @@ def estimate_mounting(drive: Drive, *, method: MountingMethod = "whole-drive") -
     Parameters
     ----------
     drive : Drive
-    method : {"whole-drive", "mekf"}
-        The default uses all of the recording at once; "mekf" is the filter of 001 ch. 4-6.
+    method : {"whole-drive", "online", "mekf", "two-phase"}
+        The default uses all of the recording at once; "online" is what a live box shows; "mekf" is the
+        filter of 001 ch. 4-6, "two-phase" the baseline of its §3.5.
 
     Returns
     -------
@@ -35,12 +38,20 @@ def estimate_mounting(drive: Drive, *, method: MountingMethod = "whole-drive") -
         If there is no such estimator.
     """
     if method == "whole-drive":
-        from nav_core.mounting.whole_drive import estimate
+        from nav_core.mounting.whole_drive import estimate as estimate_whole
         from nav_core.signal import decimate
 
-        return estimate(decimate(drive.inertial), drive.gnss)
+        return estimate_whole(decimate(drive.inertial), drive.gnss)
     if method == "mekf":
         from nav_core.mounting.thesis import estimate_thesis
 
         return estimate_thesis(drive)
-    raise UnknownMethodError(method, ("whole-drive", "mekf"))
+    if method == "online":
+        from nav_core.mounting.online_verdict import estimate as estimate_online
+
+        return estimate_online(drive)
+    if method == "two-phase":
+        from nav_core.mounting.two_phase import estimate as estimate_in_two_phases
+
+        return estimate_in_two_phases(drive)
+    raise UnknownMethodError(method, get_args(MountingMethod))

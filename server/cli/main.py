@@ -13,7 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 ROUTES = ("urban", "highway", "straight", "gentle", "roundabout", "static")
-METHODS = ("whole-drive", "mekf")
+METHODS = ("whole-drive", "online", "mekf", "two-phase")
 
 Add = Callable[[str, str, str], argparse.ArgumentParser]
 

@@ -76,7 +76,7 @@ def warm_up(args: argparse.Namespace) -> int:
     from nav_core.simulate import Scenario, simulate
 
     drive, truth = simulate(Scenario(duration=60.0, accel_rate=50.0, with_gyro=True), seed=0)
-    for method in ("whole-drive", "mekf"):
+    for method in ("whole-drive", "online", "mekf"):
         estimate_mounting(drive, method=method)
     navigate(drive, truth.R_va)
     navigate_without_gyro(drive, truth.R_va)

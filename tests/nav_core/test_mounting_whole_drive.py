@@ -259,5 +259,5 @@ def test_the_filter_of_the_thesis_answers_too():
 def test_unknown_methods_are_refused_by_name():
     drive, _ = simulate(Scenario(duration=1.0), seed=1)
     with pytest.raises(UnknownMethodError, match="two-phase") as caught:
-        estimate_mounting(drive, method="two-phase")
-    assert caught.value.known == ("whole-drive", "mekf")
+        estimate_mounting(drive, method="by-eye")
+    assert caught.value.known == ("whole-drive", "online", "mekf", "two-phase")

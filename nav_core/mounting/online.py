@@ -1,0 +1,342 @@
+"""The online estimator: a mounting that is there while the vehicle still drives.
+
+`begin`, then `advance` with whatever has arrived, then `assess` whenever somebody looks; `advance_fleet`
+does it for many boxes with one call of the compiled filter.  A state is never changed, so a worker may
+keep it, or throw a failed step away.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from nav_core.errors import ShapeError
+from nav_core.mounting.closed_form import level_basis
+from nav_core.mounting.online_kernel import run
+from nav_core.mounting.online_model import (
+    ACROSS,
+    ALONG,
+    BEYOND_DOUBT,
+    BIAS,
+    COURSE_LAG,
+    N_COLUMNS,
+    OF_CLIMB,
+    OF_COURSE,
+    OF_SIDE,
+    OF_SPEED,
+    SPEED_LAG,
+    TURN,
+    UNLIKELY,
+    UP,
+    Filters,
+    Tuning,
+    hypotheses,
+    initial_filters,
+    prior_sigma,
+)
+from nav_core.mounting.online_rows import HORIZON, SLOWEST, Place, ready_fixes, records_of, rows_of
+from nav_core.mounting.online_stream import Chunk, fixes_where, joined, ticks_since
+from nav_core.mounting.online_tally import PIECE, Tally, innovation_ratios, moved_on, noted, piece_of
+from nav_core.mounting.stretch import Fixes, Record, gps_rate, unrolled
+from nav_core.records import Gnss
+from nav_core.signal import Ticks, merge
+from nav_core.typing import Floats, Integers
+
+LISTEN = 8.0
+"""Specific force is heard for this long before it levels the start, s."""
+
+KEEP = 6.0
+"""How much of the raw stream before the last fix a state carries, s."""
+
+SAME_YAW = 0.4
+"""Hypotheses that have come this near to the best are the same, rad; the best then stands alone once it is sure."""
+
+SURE_YAW = 0.12
+"""rad."""
+
+ADAPTED_AFTER = 20.0
+"""s of driving before the innovations say how rough it is."""
+
+ROUGHEST = 20.0
+"""Most that noise is scaled by."""
+
+LAG_STEP = 0.1
+LONGEST_LAG = 2.5
+"""Most that the lags move between two pieces, and their greatest value, s."""
+
+
+@dataclass(frozen=True, slots=True)
+class OnlineState:
+    """A box as far as its stream has been worked off.
+
+    Attributes
+    ----------
+    tuning : Tuning
+    filters : Filters, optional
+        The yaw hypotheses that are left; None before the start.
+    lags : tuple of float
+        Of GPS speed and course, at which the filters stand, s.
+    bias : float
+        What is expected of the accelerometer's level biases, m/s².
+    place : Place, optional
+    ticks, spin, gnss : optional
+        The end of the raw stream that is still needed.
+    tally : Tally
+        What the drive has offered and how the estimate has developed.
+    """
+
+    tuning: Tuning = field(default_factory=Tuning)
+    filters: Filters | None = None
+    lags: tuple[float, float] = (0.3, 0.3)
+    bias: float = Tuning().bias
+    place: Place | None = None
+    ticks: Ticks | None = None
+    spin: Ticks | None = None
+    gnss: Gnss | None = None
+    tally: Tally = field(default_factory=Tally)
+
+
+@dataclass(slots=True)
+class _Work:
+    """A state on its way through a chunk."""
+
+    state: OnlineState
+    record: Record
+    spin: Record | None
+    heard: float
+    rows: Floats
+
+
+def begin(tuning: Tuning | None = None) -> OnlineState:
+    """The state of a box that has not been heard of yet."""
+    tuned = tuning or Tuning()
+    return OnlineState(tuning=tuned, lags=(tuned.lag, tuned.lag), bias=tuned.bias)
+
+
+def advance(state: OnlineState, chunk: Chunk) -> OnlineState:
+    """The state after more of the stream.
+
+    Parameters
+    ----------
+    state : OnlineState
+    chunk : Chunk
+        Later than all before.  The pieces of a stream may be cut anywhere; fixes that are not later than
+        those worked off are left out.
+
+    Returns
+    -------
+    OnlineState
+        `HORIZON` seconds behind the last fix.
+    """
+    return advance_fleet([state], [chunk])[0]
+
+
+def advance_fleet(states: Sequence[OnlineState], chunks: Sequence[Chunk]) -> list[OnlineState]:
+    """Every box's state after its chunk; see `advance`.
+
+    Boxes share each call of the compiled filter, piece by piece.
+
+    Raises
+    ------
+    ShapeError
+        If there are not as many chunks as states.
+    """
+    if len(states) != len(chunks):
+        raise ShapeError("chunks", (len(chunks),), f"({len(states)},)")
+    works = [_prepared(state, chunk) for state, chunk in zip(states, chunks, strict=True)]
+    busy = [work for work in works if _next_piece(work)]
+    while busy:
+        for tuning in {work.state.tuning for work in busy}:
+            _run_piece([work for work in busy if work.state.tuning == tuning])
+        busy = [work for work in busy if _next_piece(work)]
+    return [_trimmed(work.state) for work in works]
+
+
+def _prepared(state: OnlineState, chunk: Chunk) -> _Work:
+    """The stream as far as it is known, with the filters not yet moved."""
+    ticks = chunk.ticks if state.ticks is None else merge([state.ticks, chunk.ticks])
+    spin = chunk.spin if state.spin is None else state.spin if chunk.spin is None else merge([state.spin, chunk.spin])
+    gnss = chunk.gnss if state.gnss is None else joined(state.gnss, chunk.gnss)
+    record, spins = records_of(ticks, spin, gnss)
+    heard = -np.inf
+    if record.fixes.t.size and record.t.size:
+        last = float(record.fixes.t[-1])
+        felt = float(record.t[-1]) - 0.3 + HORIZON
+        heard = min(last, felt) if felt > last - 5.0 else last
+    return _Work(replace(state, ticks=ticks, spin=spin, gnss=gnss), record, spins, heard, np.empty((0, N_COLUMNS)))
+
+
+def _next_piece(work: _Work) -> bool:
+    """Put the rows of the next piece in place, starting the filters if need be; False when there are none."""
+    state, record = work.state, work.record
+    ready = ready_fixes(record.fixes, -np.inf if state.place is None else state.place.fix, work.heard)
+    if not ready.any():
+        return False
+    if state.filters is None and work.heard - float(record.fixes.t[0]) < LISTEN:
+        return False
+    since = float(record.fixes.t[np.argmax(ready)])
+    if state.place is not None and piece_of(since) > piece_of(state.place.fix):
+        state = _looked_at(state)
+    edge = (piece_of(since) + 1.0) * PIECE
+    ready &= record.fixes.t < edge
+    window = _window(record, since - KEEP, edge + HORIZON)
+    spin = None if work.spin is None else _window(work.spin, since - KEEP, edge + HORIZON)
+    kept = (record.fixes.t >= window.fixes.t[0]) & (record.fixes.t <= window.fixes.t[-1])
+    rows, place = rows_of(window, spin, state.place, ready[kept], state.lags, state.tuning)
+    filters = state.filters
+    if filters is None:
+        filters = initial_filters(rows[0], _starts(record, state.lags), state.lags, state.tuning)
+    work.rows = rows
+    work.state = replace(state, filters=filters, place=place)
+    return True
+
+
+def _starts(record: Record, lags: tuple[float, float]) -> Floats:
+    """Mountings to start from: levelled by the first `LISTEN` seconds, less what the receiver saw of acceleration."""
+    fixes = record.fixes
+    first = fixes.t <= fixes.t[0] + LISTEN
+    t, speed = fixes.t[first], fixes.speed[first]
+    heard = (record.t >= t[0] - lags[0]) & (record.t <= t[-1] - lags[0])
+    force = record.f[heard if heard.any() else slice(None)].mean(axis=0)
+    span = max(float(t[-1] - t[0]), 1.0)
+    side = np.where(speed > SLOWEST, speed * gps_rate(t, unrolled(fixes.course[first])), 0.0)
+    return hypotheses(force, level_basis(force[None]), (float(speed[-1] - speed[0]) / span, float(side.mean())))
+
+
+def _window(record: Record, begin: float, end: float) -> Record:
+    """A stretch of a record, with the steps of its ticks as they were."""
+    fixes = slice(*np.searchsorted(record.fixes.t, [begin, end]).tolist())
+    ticks = slice(*np.searchsorted(record.t, [begin - KEEP, end]).tolist())
+    return Record(
+        record.t[ticks],
+        record.f[ticks],
+        record.step[ticks],
+        Fixes(*(column[fixes] for column in record.fixes)),
+    )
+
+
+def _run_piece(works: list[_Work]) -> None:
+    """Run all boxes' filters over their rows in one call, and take notes."""
+    stacked, first, last, rows = stack([work.state.filters for work in works], [work.rows for work in works])
+    steps = last - first
+    trace = np.zeros((int(steps.sum()), 4))
+    run(stacked, rows, first, last, works[0].state.tuning, trace)
+    ends = np.cumsum(steps)
+    begin = 0
+    for work in works:
+        assert work.state.filters is not None
+        assert work.state.place is not None
+        end = begin + work.state.filters.x.shape[0]
+        filters = Filters(*(column[begin:end] for column in stacked))
+        told = trace[:0]
+        if settled(filters):
+            best = begin + filters.best
+            told = trace[ends[best] - steps[best] : ends[best]]
+        tally = noted(work.state.tally, work.rows, work.state.place.fix, filters, told)
+        if told.shape[0] and work.state.filters.x.shape[0] == end - begin:
+            tally = moved_on(tally, work.state.filters, filters)
+        work.state = replace(work.state, filters=filters, tally=tally)
+        begin = end
+
+
+def settled(filters: Filters) -> bool:
+    """Whether one hypothesis is left; a mirrored one may stay beside it until a turn tells."""
+    return int(np.count_nonzero(filters.mirrored == filters.mirrored[filters.best])) == 1
+
+
+def stack(filters: Sequence[Filters | None], rows: Sequence[Floats]) -> tuple[Filters, Integers, Integers, Floats]:
+    """Filters of many boxes side by side (copied), the ranges of their rows, and the rows."""
+    present = [each for each in filters if each is not None]
+    stacked = Filters(*(np.concatenate(columns) for columns in zip(*present, strict=True)))
+    ends = np.cumsum([each.shape[0] for each in rows])
+    sizes = [each.x.shape[0] for each in present]
+    last = np.repeat(ends, sizes)
+    first = np.repeat(ends - [each.shape[0] for each in rows], sizes)
+    return stacked, first, last, np.concatenate(rows)
+
+
+def _looked_at(state: OnlineState) -> OnlineState:
+    """Drop hypotheses, move the lags, and take the drive's own measure of noise and bias, at the end of a piece."""
+    assert state.filters is not None
+    filters = _likely(state.filters) if state.filters.x.shape[0] > 1 else state.filters
+    best = filters.best
+    shift = np.clip(filters.x[best, [SPEED_LAG, COURSE_LAG]], -LAG_STEP, LAG_STEP)
+    lags = np.clip(np.add(state.lags, shift), 0.0, LONGEST_LAG)
+    x, P = filters.x.copy(), filters.P.copy()
+    x[:, [SPEED_LAG, COURSE_LAG]] -= lags - state.lags
+    bias = _likely_bias(state, filters, best)
+    for axis in (BIAS, BIAS + 1):
+        P[:, axis, axis] += bias**2 - state.bias**2
+    filters = filters._replace(x=x, P=P)
+    if settled(filters) and state.tally.driven > ADAPTED_AFTER:
+        filters = _adapted(filters, state.tuning)
+    return replace(state, filters=filters, lags=(float(lags[0]), float(lags[1])), bias=bias)
+
+
+def _adapted(filters: Filters, tuning: Tuning) -> Filters:
+    """Noise levels moved towards what the innovations ask for; never below the tuning's.
+
+    Where they rise, what has been learned so far was believed too much: the covariance of the drive's
+    constants is widened along, up to what was known at the start.
+    """
+    ratio = innovation_ratios(filters)
+    wanted = np.where((ratio > 1.15) | (ratio < 0.8), np.clip(np.sqrt(ratio), 0.8, 1.6), 1.0)
+    scale = np.clip(filters.scale * wanted, 1.0, ROUGHEST)
+    factor = scale / filters.scale
+    notes, P = filters.notes.copy(), filters.P.copy()
+    for kind, of in ((OF_SPEED, ALONG), (OF_CLIMB, UP), (OF_COURSE, ACROSS), (OF_SIDE, ACROSS)):
+        notes[:, kind, 0] /= factor[:, of] ** 2
+    deviation = np.sqrt(np.einsum("kii->ki", P))
+    room = np.maximum(prior_sigma(tuning) / np.maximum(deviation, 1e-12), 1.0)
+    grown = np.minimum(np.maximum(factor.max(axis=1), 1.0)[:, None], room)
+    grown[:, :TURN] = 1.0
+    return filters._replace(scale=scale, notes=notes, P=P * grown[:, :, None] * grown[:, None, :])
+
+
+def _likely_bias(state: OnlineState, filters: Filters, best: int) -> float:
+    """The deviation of the two level biases once the vertical one has been seen; it never shrinks.
+
+    The vertical bias shows in the magnitude of gravity, and a bad accelerometer is bad in all axes.
+    Inverse-gamma prior of the variance with two degrees of freedom, as for the whole drive.
+    """
+    down = BIAS + 2
+    if filters.P[best, down, down] > 0.25 * state.tuning.bias**2:
+        return state.bias
+    return max(state.bias, float(np.sqrt((2.0 * state.tuning.bias**2 + filters.x[best, down] ** 2) / 3.0)))
+
+
+def _likely(filters: Filters) -> Filters:
+    """The hypotheses that are still possible; of those alike, the best once it is sure and they have come together."""
+    margin = innovation_ratios(filters).max(initial=1.0)
+    mountings = Rotation.from_rotvec(filters.x[:, TURN : TURN + 3]).as_matrix() @ filters.R_va
+    kept = np.zeros(filters.likelihood.size, dtype=np.bool_)
+    for side in (False, True):
+        alike = np.flatnonzero(filters.mirrored == side)
+        if not alike.size:
+            continue
+        first = alike[np.argmax(filters.likelihood[alike])]
+        if filters.likelihood[first] < filters.likelihood.max() - BEYOND_DOUBT * margin:
+            continue
+        alike = alike[filters.likelihood[alike] > filters.likelihood[first] - UNLIKELY * margin]
+        # The trace of a rotation by an angle is 1 + 2 cos; both are proper or both are mirrored.
+        together = np.einsum("ij,kij->k", mountings[first], mountings[alike]) > 1.0 + 2.0 * np.cos(SAME_YAW)
+        sure = filters.P[first, TURN + 2, TURN + 2] < SURE_YAW**2
+        kept[first if sure and together.all() else alike] = True
+    return Filters(*(column[kept] for column in filters))
+
+
+def _trimmed(state: OnlineState) -> OnlineState:
+    """Without what will not be needed again of the raw stream."""
+    if state.place is None or state.ticks is None or state.gnss is None:
+        return state
+    since = state.place.fix - KEEP
+    spin = state.spin
+    return replace(
+        state,
+        ticks=ticks_since(state.ticks, since - KEEP),
+        spin=None if spin is None else ticks_since(spin, since - KEEP),
+        gnss=fixes_where(state.gnss, state.gnss.t >= since),
+    )

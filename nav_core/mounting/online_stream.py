@@ -1,0 +1,89 @@
+"""The stream of a box in chunks: cut, joined, and what of it a state must carry along."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from nav_core.records import Drive, Gnss, Inertial
+from nav_core.signal import Ticks, decimate
+from nav_core.typing import Flags, Floats
+
+
+@dataclass(frozen=True, slots=True)
+class Chunk:
+    """What has arrived of one box.
+
+    Attributes
+    ----------
+    ticks : Ticks
+        Decimated specific force.
+    gnss : Gnss
+    spin : Ticks, optional
+        Decimated angular rate, see `decimated_rate`.
+    """
+
+    ticks: Ticks
+    gnss: Gnss
+    spin: Ticks | None = None
+
+
+def chunks_of(drive: Drive, stride: float) -> list[Chunk]:
+    """A recording cut into chunks of `stride` seconds, as its box would have sent it."""
+    inertial, gnss = drive.inertial, drive.gnss
+    ends = [float(t[i]) for t in (inertial.t, gnss.t) if t.size for i in (0, -1)]
+    edges = np.append(np.arange(min(ends, default=0.0), max(ends, default=0.0), stride), np.inf)
+    chunks: list[Chunk] = []
+    for low, high in pairwise(edges.tolist()):
+        first, last = np.searchsorted(inertial.t, [low, high]).tolist()
+        t = inertial.t[first:last]
+        spin = None if inertial.w is None else decimated_rate(t, inertial.w[first:last])
+        fixes = fixes_where(gnss, (gnss.t >= low) & (gnss.t < high))
+        chunks.append(Chunk(decimate(Inertial(t, inertial.f[first:last])), fixes, spin))
+    return chunks
+
+
+def decimated_rate(t: Floats, w: Floats) -> Ticks:
+    """Ticks of a gyro's rate, made as those of the specific force; samples without it are left out."""
+    known = np.isfinite(w).all(axis=1)
+    return decimate(Inertial(t[known], w[known]))
+
+
+def fixes_where(gnss: Gnss, kept: Flags) -> Gnss:
+    """Some of the fixes."""
+    return Gnss(
+        t=gnss.t[kept],
+        lat=gnss.lat[kept],
+        lon=gnss.lon[kept],
+        alt=gnss.alt[kept],
+        speed=gnss.speed[kept],
+        course=gnss.course[kept],
+        fix=gnss.fix[kept],
+        utc=None if gnss.utc is None else gnss.utc[kept],
+    )
+
+
+def joined(before: Gnss, after: Gnss) -> Gnss:
+    """Fixes and those that follow; what is not later is left out, UTC that either lacks is dropped."""
+    later = after.t > (before.t[-1] if before.t.size else -np.inf)
+    utc = None
+    if before.utc is not None and after.utc is not None:
+        utc = np.concatenate([before.utc, after.utc[later]])
+    return Gnss(
+        t=np.concatenate([before.t, after.t[later]]),
+        lat=np.concatenate([before.lat, after.lat[later]]),
+        lon=np.concatenate([before.lon, after.lon[later]]),
+        alt=np.concatenate([before.alt, after.alt[later]]),
+        speed=np.concatenate([before.speed, after.speed[later]]),
+        course=np.concatenate([before.course, after.course[later]]),
+        fix=np.concatenate([before.fix, after.fix[later]]),
+        utc=utc,
+    )
+
+
+def ticks_since(ticks: Ticks, t: float) -> Ticks:
+    """Ticks from a box time on."""
+    kept = ticks.t >= t
+    return Ticks(ticks.rate, ticks.index[kept], ticks.weight[kept], ticks.moment[kept], ticks.square[kept])

@@ -1,0 +1,139 @@
+"""From the online estimator's state to the product's answer."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from nav_core.mounting.confidence import observability
+from nav_core.mounting.online import OnlineState, advance, begin, settled
+from nav_core.mounting.online_model import ACROSS, ALONG, BIAS, GRAVITY, SPEED_LAG, Filters
+from nav_core.mounting.online_stream import chunks_of
+from nav_core.mounting.online_tally import CONVERGED, covariance_of, mounting_of, recent_test, restlessness, widening
+from nav_core.mounting.quality import reason
+from nav_core.records import Drive, MountingEstimate, Reason
+from nav_core.rotation import angle_between
+from nav_core.typing import Floats
+
+MIN_MOVING = 15.0
+MIN_EVENTFUL = 8.0
+"""Least time in motion, and with noticeable acceleration, along or across, s."""
+
+USELESS = np.radians(15.0)
+"""An axis with a larger sigma is not known at all, rad."""
+
+ROUGH, MISMATCH = 3.0, 10.0
+"""How many times the usual noise is called rough, and is no longer that of a box fixed in a car."""
+
+RESTLESS = 2.0
+"""An estimate that moves this much more than its covariance admits contradicts itself."""
+
+NO_GRAVITY = 0.5 * GRAVITY
+"""A vertical bias beyond this is a wrong unit and no bias, m/s²."""
+
+MIRRORED = Reason(
+    "mirrored", "The accelerations fit a car only in a mirror: the box inverts their sign or has left-handed axes."
+)
+
+UNIT = Reason("unit", "The accelerometer does not show gravity: check the unit of its data.")
+
+STEADY, STEADY_SPAN = np.radians(0.7), 60.0
+"""Stable: the mounting of `STEADY_SPAN` seconds ago lies within this, rad."""
+
+LAG_KNOWN = 0.25
+"""A lag with a larger sigma is not reported, s."""
+
+STRIDE = 60.0
+"""Length of the chunks in which `estimate` feeds a recording, s."""
+
+
+def assess(state: OnlineState) -> MountingEstimate:
+    """What is known of a mounting by now.
+
+    Parameters
+    ----------
+    state : OnlineState
+
+    Returns
+    -------
+    MountingEstimate
+        `ready` when every sigma, widened by the innovations and by what no single drive can tell, is under
+        2°, the drive offered enough, and the receiver's data are those of a car.
+    """
+    tally, filters = state.tally, state.filters
+    if filters is None:
+        heard = state.gnss is not None and bool(np.any(state.gnss.fix))
+        return _without(0.0, (reason("few_fixes" if heard else "no_fix"),))
+    share = min(tally.moving / MIN_MOVING, 1.0)
+    if share < 1.0:
+        return _without(0.1 * share, (reason("not_driven"),))
+    covariance = covariance_of(filters, tally)
+    sigma = np.sqrt(np.diag(covariance))
+    eventful = tally.along + tally.across
+    progress = min(float(np.min(np.minimum((CONVERGED / sigma) ** 2, 1.0))), eventful / MIN_EVENTFUL, 1.0)
+    strange = widening(filters) * float(filters.scale[filters.best, [ALONG, ACROSS]].max())
+    foreign = _foreign(filters, strange)
+    if foreign is not None:
+        return _without(min(progress, 0.2), (foreign,))
+    if not settled(filters) or sigma.max() > USELESS:
+        return _without(min(progress, 0.2), _missing(state, sigma))
+    restless = bool(restlessness(tally).max() > RESTLESS)
+    ready = bool(sigma.max() < CONVERGED) and eventful >= MIN_EVENTFUL and not restless
+    reasons = () if ready else (reason("contradiction"),) if restless else _missing(state, sigma)
+    if not ready and strange > ROUGH:
+        reasons = (*reasons, reason("rough"))
+    known = np.sqrt(np.diag(filters.P[filters.best])[SPEED_LAG : SPEED_LAG + 2]) < LAG_KNOWN
+    return MountingEstimate(
+        "ready" if ready else "settling",
+        "online",
+        R_va=mounting_of(filters),
+        covariance=covariance,
+        progress=1.0 if ready else min(progress, 0.99),
+        observability=observability(covariance),
+        stable=_is_stable(state),
+        reliable=eventful >= MIN_EVENTFUL,
+        self_test=recent_test(tally),
+        converged_after=tally.sure_since,
+        speed_lag=state.lags[0] if known[0] else None,
+        course_lag=state.lags[1] if known[1] else None,
+        reasons=reasons,
+    )
+
+
+def _foreign(filters: Filters, strange: float) -> Reason | None:
+    """Why the data are not those of a box fixed in a car, if they are not."""
+    if abs(filters.x[filters.best, BIAS + 2]) > NO_GRAVITY:
+        return UNIT
+    if strange > MISMATCH:
+        return reason("mismatch")
+    return MIRRORED if filters.mirrored[filters.best] else None
+
+
+def _is_stable(state: OnlineState) -> bool:
+    """Whether the mounting of a minute ago is the present one."""
+    trail = state.tally.trail
+    before = trail[trail[:, 0] <= trail[-1, 0] - STEADY_SPAN]
+    if not before.size:
+        return False
+    return angle_between(before[-1, 1:10].reshape(3, 3), trail[-1, 1:10].reshape(3, 3)) < STEADY
+
+
+def _missing(state: OnlineState, sigma: Floats) -> tuple[Reason, ...]:
+    """What would help."""
+    codes: list[str] = []
+    if sigma[1] > CONVERGED or state.tally.along < MIN_EVENTFUL:
+        codes.append("few_events")
+    if max(sigma[0], sigma[2]) > CONVERGED and state.tally.turned < np.pi:
+        codes.append("no_turns")
+    return tuple(reason(code) for code in codes or ["keep_driving"])
+
+
+def _without(progress: float, reasons: tuple[Reason, ...]) -> MountingEstimate:
+    return MountingEstimate("insufficient", "online", progress=progress, reasons=reasons)
+
+
+def estimate(drive: Drive) -> MountingEstimate:
+    """Mounting by the online estimator at the end of a recording."""
+    state = begin()
+    for chunk in chunks_of(drive, STRIDE):
+        state = advance(state, chunk)
+    return assess(state)
