@@ -37,11 +37,18 @@ def _arrow() -> _Reader:
     return read
 
 
+def _compact() -> _Reader:
+    from server.formats.compact import read
+
+    return read
+
+
 _READERS: dict[str, Callable[[], _Reader]] = {
     "application/json": _json,
     "text/csv": _csv,
     "application/vnd.apache.parquet": _parquet,
     "application/vnd.apache.arrow.stream": _arrow,
+    "application/vnd.scatola.batch": _compact,
 }
 
 

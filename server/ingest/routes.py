@@ -43,6 +43,7 @@ _BODY = {
             "text/csv": {"schema": {"type": "string"}},
             "application/vnd.apache.parquet": {"schema": {"type": "string", "format": "binary"}},
             "application/vnd.apache.arrow.stream": {"schema": {"type": "string", "format": "binary"}},
+            "application/vnd.scatola.batch": {"schema": {"type": "string", "format": "binary"}},
         },
     }
 }
