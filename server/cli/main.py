@@ -73,7 +73,9 @@ def build_parser() -> argparse.ArgumentParser:
 
 def _add_file_commands(add: Add) -> None:
     mount = add("mount", "files:mount", "Estimate how the box of a drive file is mounted.")
-    mount.add_argument("drive", type=Path, metavar="DRIVE", help="drive file: CSV, Parquet or the thesis' text line")
+    mount.add_argument(
+        "drive", type=Path, metavar="DRIVE", help="drive file; docs/device-protocol.md lists the formats"
+    )
     mount.add_argument("--method", choices=METHODS, default="whole-drive")
     mount.add_argument("--json", action="store_true", help="print the contract's JSON")
 

@@ -14,7 +14,7 @@ from server.accounts.access import Caller, DeviceCaller
 from server.database import Database
 from server.edge import DatabaseOf, Now, SettingsOf, StoreOf, Wake
 from server.errors import ProblemError, TooLargeError, TooManyRequestsError
-from server.formats.decode import decode, media_type_of
+from server.formats.decode import MEDIA_TYPES, decode, media_type_of
 from server.formats.encoding import encoding_of, unpack
 from server.ingest import queries, service
 from server.ingest.schemas import Acknowledgement
@@ -35,15 +35,16 @@ class SlowBodyError(ProblemError):
     status, code, title = 408, "body_timeout", "The body did not arrive in time"
 
 
+_SHAPES: dict[str, dict[str, object]] = {
+    "application/json": {"type": "object", "required": ["columns"]},
+    "text/csv": {"type": "string"},
+}
 _BODY = {
     "requestBody": {
         "required": True,
         "content": {
-            "application/json": {"schema": {"type": "object", "required": ["columns"]}},
-            "text/csv": {"schema": {"type": "string"}},
-            "application/vnd.apache.parquet": {"schema": {"type": "string", "format": "binary"}},
-            "application/vnd.apache.arrow.stream": {"schema": {"type": "string", "format": "binary"}},
-            "application/vnd.scatola.batch": {"schema": {"type": "string", "format": "binary"}},
+            media_type: {"schema": _SHAPES.get(media_type, {"type": "string", "format": "binary"})}
+            for media_type in MEDIA_TYPES
         },
     }
 }

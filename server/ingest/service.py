@@ -165,8 +165,9 @@ def _extend_runs(session: Session, device_id: str, key: BatchKey) -> None:
 
 def remarks_on(columns: Columns) -> list[dict[str, str]]:
     """What a reader of the results must know of these rows."""
+    remarks = [{"code": remark.code, "detail": remark.detail} for remark in columns.remarks]
     steps = np.diff(columns.values["t"])
     back = int(np.count_nonzero(steps < 0.0))
-    if not back:
-        return []
-    return [{"code": "rows_out_of_order", "detail": f"Time goes back {back} times within the batch"}]
+    if back:
+        remarks.append({"code": "rows_out_of_order", "detail": f"Time goes back {back} times within the batch"})
+    return remarks
