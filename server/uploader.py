@@ -5,6 +5,7 @@ from __future__ import annotations
 import datetime as dt
 import gzip
 import random
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from email.utils import parsedate_to_datetime
@@ -14,6 +15,8 @@ import httpx
 import numpy as np
 import orjson
 
+from server.accounts.secrets import hash_of
+from server.accounts.signature import sign
 from server.formats.columns import Columns
 from server.formats.compact_write import write as write_compact
 from server.formats.tables import write_arrow, write_csv
@@ -103,6 +106,8 @@ class Uploader:
         Sleeps for so many seconds.
     patience_s
         Waiting in a row, after which a batch is given up with `UnreachableError`; None waits for ever.
+    sign_as
+        The box's id: sign each request instead of sending the token.
     """
 
     def __init__(
@@ -116,6 +121,8 @@ class Uploader:
         stream: Stream = "continuous",
         encoding: Encoding = "parquet",
         patience_s: float | None = None,
+        sign_as: str | None = None,
+        clock: Callable[[], float] = time.time,
     ) -> None:
         self._client = client
         self._token = token
@@ -125,6 +132,9 @@ class Uploader:
         self._stream: Stream = stream
         self._encoding: Encoding = encoding
         self._patience_s = patience_s
+        self._sign_as = sign_as
+        self._clock = clock
+        self._clock_offset_s = 0.0
 
     def send(self, sequence: int, columns: Columns) -> Acknowledgement:
         """Send one batch until it is acknowledged."""
@@ -132,7 +142,7 @@ class Uploader:
 
     def deliver(self, parcel: Parcel) -> Acknowledgement:
         """Send one encoded batch until it is acknowledged; the key makes repeating harmless."""
-        pause, waited_s, told = _FIRST_WAIT_S, 0.0, False
+        pause, waited_s, told, corrected = _FIRST_WAIT_S, 0.0, False, False
         while True:
             try:
                 answer = self._client.post("/api/v1/batches", content=parcel.body, headers=self._headers(parcel))
@@ -141,10 +151,10 @@ class Uploader:
             else:
                 if answer.status_code == 202:
                     return _acknowledgement(answer.json())
-                if answer.status_code in (401, 403):
-                    raise NotAdmittedError(answer.status_code, answer.text[:500])
-                if answer.status_code < 500 and answer.status_code not in _PASSING:
-                    raise UploadRefusedError(answer.status_code, answer.text[:500])
+                if answer.status_code == 401 and not corrected and self._correct_clock(answer):
+                    corrected = True
+                    continue
+                _raise_if_final(answer)
                 retry_after = _retry_after_s(answer.headers)
                 trouble = f"the service answers {answer.status_code}"
             if self._patience_s is not None and waited_s >= self._patience_s:
@@ -162,12 +172,42 @@ class Uploader:
 
     def _headers(self, parcel: Parcel) -> dict[str, str]:
         headers = {
-            "Authorization": f"Bearer {self._token}",
             "Idempotency-Key": f"{parcel.boot}/{parcel.sequence}",
             "Scatola-Stream": parcel.stream,
             "Content-Type": parcel.media_type,
         }
-        return headers | ({"Content-Encoding": parcel.content_encoding} if parcel.content_encoding else {})
+        headers |= {"Content-Encoding": parcel.content_encoding} if parcel.content_encoding else {}
+        if self._sign_as is None:
+            return headers | {"Authorization": f"Bearer {self._token}"}
+        authorization = sign(
+            hash_of(self._token),
+            method="POST",
+            path="/api/v1/batches",
+            device_id=self._sign_as,
+            time_s=int(self._clock() + self._clock_offset_s),
+            headers={name.lower(): value for name, value in headers.items()},
+            body=parcel.body,
+        )
+        return headers | {"Authorization": authorization}
+
+    def _correct_clock(self, answer: httpx.Response) -> bool:
+        """Take over the service's time when that is what a signature failed for."""
+        try:
+            problem: dict[str, Any] = answer.json()
+        except ValueError:
+            return False
+        if problem.get("code") != "clock_skew":
+            return False
+        self._clock_offset_s = dt.datetime.fromisoformat(problem["server_time"]).timestamp() - self._clock()
+        return True
+
+
+def _raise_if_final(answer: httpx.Response) -> None:
+    """Raise when sending the same again would be refused again."""
+    if answer.status_code in (401, 403):
+        raise NotAdmittedError(answer.status_code, answer.text[:500])
+    if answer.status_code < 500 and answer.status_code not in _PASSING:
+        raise UploadRefusedError(answer.status_code, answer.text[:500])
 
 
 def _retry_after_s(headers: httpx.Headers) -> float:

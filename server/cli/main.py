@@ -129,6 +129,7 @@ def _add_upload(add: Add) -> None:
     upload.add_argument("drive", type=Path, nargs="?", metavar="DRIVE", help="default: send what is queued already")
     upload.add_argument("--url", help="address of the service")
     upload.add_argument("--token", help="the box's token; default: the variable SCATOLA_DEVICE_TOKEN")
+    upload.add_argument("--sign-as", metavar="DEVICE", help="the box's id: sign each request, do not send the token")
     upload.add_argument("--boot", help="name of this run of the box's clock; default: from the file's content")
     upload.add_argument("--seconds", type=float, default=60.0, help="length of a batch")
     upload.add_argument("--stream", choices=("continuous", "burst"), default="continuous")

@@ -93,6 +93,7 @@ def _send(args: argparse.Namespace, token: str, outbox: Outbox, result: dict[str
             wait=time.sleep,
             say=lambda line: print(f"scatola: {line}", file=sys.stderr),
             patience_s=args.give_up_after,
+            sign_as=args.sign_as,
         )
         for tally in forward(outbox, uploader):
             if sys.stderr.isatty():
