@@ -37,6 +37,18 @@ class BatchKey:
 
 
 @dataclass(frozen=True, slots=True)
+class BoxNotes:
+    """What a box says beside a batch."""
+
+    sent_t_s: float | None = None
+    """Its clock when it sent the batch."""
+    configuration: int | None = None
+    """The version of its configuration."""
+    answers: tuple[str, ...] = ()
+    """Requests that this batch answers."""
+
+
+@dataclass(frozen=True, slots=True)
 class Upload:
     """A checked upload whose blobs are durable."""
 
@@ -48,20 +60,9 @@ class Upload:
     blob_key: str
     body_key: str | None
     stored_bytes: int
-    sent_bytes: int
-    notes: BoxNotes
-
-
-@dataclass(frozen=True, slots=True)
-class BoxNotes:
-    """What a box says beside a batch."""
-
-    sent_t_s: float | None = None
-    """Its clock when it sent the batch."""
-    configuration: int | None = None
-    """The version of its configuration."""
-    answers: tuple[str, ...] = ()
-    """Requests that this batch answers."""
+    sent_bytes: int = 0
+    """What counts against the quota."""
+    notes: BoxNotes = BoxNotes()
 
 
 _ANSWERS = re.compile(r"[0-9a-f]{32}(?:,[0-9a-f]{32}){0,19}")
