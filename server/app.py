@@ -17,6 +17,7 @@ from server.accounts import routes as accounts
 from server.accounts.gate import AccessGate
 from server.accounts.service import ensure_organisation
 from server.database import Database
+from server.devices import box_routes as boxes
 from server.devices import routes as devices
 from server.edge import Clock
 from server.headers import SecurityHeaders
@@ -89,6 +90,7 @@ def create_app(settings: Settings, *, clock: Clock = utc_now) -> FastAPI:
     state.readiness = health.Readiness()
     state.telemetry = telemetry = Telemetry()
     state.login_attempts = TokenBuckets(accounts.LOGIN_ATTEMPTS_PER_MINUTE)
+    state.claim_attempts = TokenBuckets(boxes.CLAIMS_PER_MINUTE)
     state.uploads = TokenBuckets(settings.device_requests_per_minute)
     state.upload_slots = CapacityLimiter(CONCURRENT_UPLOADS)
     telemetry.watch(lambda: health.backlog_figures(app))
@@ -99,6 +101,7 @@ def create_app(settings: Settings, *, clock: Clock = utc_now) -> FastAPI:
         health,
         accounts,
         devices,
+        boxes,
         vehicles,
         ingest,
         installations,

@@ -19,3 +19,5 @@ class Caller:
     session_id: str | None = None
     csrf_token: str | None = None
     device_id: str | None = None
+    signed_body_sha256: str | None = None
+    """Of a signed request: the hash that its body, as sent, must have."""

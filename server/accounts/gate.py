@@ -6,6 +6,7 @@ without its CSRF token or from another origin.
 
 from __future__ import annotations
 
+import dataclasses
 import datetime as dt
 import re
 from typing import cast
@@ -17,10 +18,10 @@ from starlette.requests import HTTPConnection
 from starlette.responses import RedirectResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from server.accounts import service
+from server.accounts import service, signature
 from server.accounts.access import Caller
 from server.accounts.cookie import COOKIE, cookie_header
-from server.accounts.secrets import same
+from server.accounts.secrets import hash_of, same
 from server.database import Database
 from server.errors import ForbiddenError, ProblemError, UnauthenticatedError
 from server.problems import is_api, problem_response
@@ -29,7 +30,8 @@ from server.view3d import permission
 
 _OPEN = frozenset({"/healthz", "/readyz", "/metrics", "/openapi.json", "/docs"})
 _SIGN_IN = ("/login", "/api/v1/auth")
-_DEVICE_PATHS = frozenset({"/api/v1/batches"})
+_DEVICE_PATHS = frozenset({"/api/v1/batches", "/api/v1/device", "/api/v1/device/token"})
+_CLAIM = ("/api/v1/claim",)
 _VIEW = re.compile(r"/view3d/(?P<ticket>[A-Za-z0-9_-]{16,})/(?P<device>[0-9a-f]{32})(?:/.*)?")
 _SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
 _MAX_FORM_BYTES = 64 * 1024
@@ -40,7 +42,7 @@ def _is_below(path: str, roots: tuple[str, ...]) -> bool:
 
 
 def _is_open(path: str) -> bool:
-    return path in _OPEN or path.startswith("/static/")
+    return path in _OPEN or path.startswith("/static/") or _is_below(path, _CLAIM)
 
 
 class AccessGate:
@@ -73,6 +75,8 @@ def _identify(connection: HTTPConnection) -> tuple[Caller | None, bool]:
     database = cast("Database", connection.app.state.database)
     now = cast("dt.datetime", connection.app.state.clock())
     scheme, _, token = connection.headers.get("authorization", "").partition(" ")
+    if scheme.lower() == signature.SCHEME:
+        return _signed(database, connection, signature.parse(token), now), False
     if scheme:
         if scheme.lower() != "bearer":
             return None, False
@@ -102,7 +106,26 @@ def _bearer(settings: Settings, database: Database, token: str) -> Caller | None
             organisation = service.default_organisation(session)
         return None if organisation is None else Caller(organisation.id, "admin")
     with database.reading() as session:
-        return service.device_of(session, token)
+        found = service.device_of(session, token)
+    if found is None:
+        return None
+    caller, is_next = found
+    if is_next:
+        with database.transaction() as session:
+            service.begin_next_token(session, token)
+    return caller
+
+
+def _signed(database: Database, connection: HTTPConnection, claim: signature.Claim, now: dt.datetime) -> Caller:
+    with database.reading() as session:
+        found = service.signing_device(session, claim.device_id)
+    # An unknown box fails like a wrong signature: which boxes exist is nobody's business.
+    caller, key = found or (None, hash_of(""))
+    method, path = connection.scope["method"], connection.url.path
+    signature.check(claim, key, method=method, path=path, headers=connection.headers, now=now)
+    if caller is None:
+        raise UnauthenticatedError("The signature is not this box's for this request", code="signature")
+    return dataclasses.replace(caller, signed_body_sha256=claim.body_sha256)
 
 
 async def _admit(connection: HTTPConnection, caller: Caller | None, receive: Receive) -> Receive:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import datetime as dt
 from dataclasses import dataclass
 
-from sqlalchemy import delete, select
+from sqlalchemy import delete, or_, select
 from sqlalchemy.orm import Session
 
 from server.accounts.caller import Caller
@@ -110,11 +110,31 @@ def slide(session: Session, session_id: str, *, now: dt.datetime) -> None:
         row.expires_at = now + SESSION_LIFE
 
 
-def device_of(session: Session, token: str) -> Caller | None:
-    """The box that a bearer token belongs to; none once it is revoked."""
+def device_of(session: Session, token: str) -> tuple[Caller, bool] | None:
+    """The box that a bearer token belongs to, and whether the token is its next one; none once it is revoked."""
+    digest = hash_of(token)
     row = session.execute(
-        select(Device.id, Device.organisation_id).where(
-            Device.token_hash == hash_of(token), Device.revoked_at.is_(None)
+        select(Device.id, Device.organisation_id, Device.signed_only, Device.token_hash).where(
+            or_(Device.token_hash == digest, Device.next_token_hash == digest), Device.revoked_at.is_(None)
         )
     ).first()
-    return None if row is None else Caller(row.organisation_id, "device", device_id=row.id)
+    if row is None:
+        return None
+    if row.signed_only:
+        raise UnauthenticatedError("This box signs its requests; the token is not sent", code="signature_required")
+    return Caller(row.organisation_id, "device", device_id=row.id), row.token_hash != digest
+
+
+def begin_next_token(session: Session, token: str) -> None:
+    """The first use of a token that the box asked for ends the one before."""
+    device = session.scalar(select(Device).where(Device.next_token_hash == hash_of(token)).with_for_update())
+    if device is not None:
+        device.token_hash, device.next_token_hash = hash_of(token), None
+
+
+def signing_device(session: Session, device_id: str) -> tuple[Caller, str] | None:
+    """A box that signs its requests, and its key."""
+    row = session.execute(
+        select(Device.organisation_id, Device.token_hash).where(Device.id == device_id, Device.revoked_at.is_(None))
+    ).first()
+    return None if row is None else (Caller(row.organisation_id, "device", device_id=device_id), row.token_hash)

@@ -73,7 +73,9 @@ def build_parser() -> argparse.ArgumentParser:
 
 def _add_file_commands(add: Add) -> None:
     mount = add("mount", "files:mount", "Estimate how the box of a drive file is mounted.")
-    mount.add_argument("drive", type=Path, metavar="DRIVE", help="drive file: CSV, Parquet or the thesis' text line")
+    mount.add_argument(
+        "drive", type=Path, metavar="DRIVE", help="drive file; docs/device-protocol.md lists the formats"
+    )
     mount.add_argument("--method", choices=METHODS, default="whole-drive")
     mount.add_argument("--json", action="store_true", help="print the contract's JSON")
 
@@ -119,12 +121,28 @@ def _add_file_commands(add: Add) -> None:
     navigate.add_argument("--plot", type=Path, metavar="FIGURE", help="write a figure: .png, .svg or .pdf")
     navigate.add_argument("--json", action="store_true")
 
+    _add_upload(add)
+
+
+def _add_upload(add: Add) -> None:
     upload = add("upload", "upload:upload", "Upload a drive file as a box would; resumes where it stopped.")
-    upload.add_argument("drive", type=Path, metavar="DRIVE")
-    upload.add_argument("--url", required=True, help="address of the service")
-    upload.add_argument("--token", required=True, help="the box's token")
+    upload.add_argument("drive", type=Path, nargs="?", metavar="DRIVE", help="default: send what is queued already")
+    upload.add_argument("--url", help="address of the service")
+    upload.add_argument("--token", help="the box's token; default: the variable SCATOLA_DEVICE_TOKEN")
+    upload.add_argument("--sign-as", metavar="DEVICE", help="the box's id: sign each request, do not send the token")
     upload.add_argument("--boot", help="name of this run of the box's clock; default: from the file's content")
     upload.add_argument("--seconds", type=float, default=60.0, help="length of a batch")
+    upload.add_argument("--stream", choices=("continuous", "burst"), default="continuous")
+    upload.add_argument(
+        "--encoding",
+        choices=("parquet", "compact", "json", "csv", "arrow"),
+        default="parquet",
+        help="compact: the small binary form, rounded to a sensor's resolution; the others are exact",
+    )
+    upload.add_argument("--queue", type=Path, metavar="FOLDER", help="queue on disk; default: a state folder")
+    upload.add_argument("--queue-limit-mb", type=float, default=1024.0, help="refuse to queue more than this")
+    upload.add_argument("--store-only", action="store_true", help="queue the file and send nothing")
+    upload.add_argument("--give-up-after", type=float, metavar="S", help="stop after waiting so long; default: never")
     upload.add_argument("--json", action="store_true")
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
-from server.devices.schemas import ChainOut, DeviceOut, DevicePage, ReferenceMounting
+from server.devices.schemas import ChainOut, DeviceOut, DevicePage, ReferenceMounting, WindowOut
 from server.errors import NotFoundError
-from server.models import Device
+from server.models import Device, DeviceRequest
 
 
 def device_of(session: Session, organisation_id: str, device_id: str, *, lock: bool = False) -> Device:
@@ -39,6 +39,19 @@ def _shown(row: Device) -> DeviceOut:
         created_at=row.created_at,
         revoked_at=row.revoked_at,
         last_seen_at=row.last_seen_at,
+        signed_only=row.signed_only,
+        bytes_per_day=row.bytes_per_day,
+        configuration=row.configuration,
+        configuration_version=row.configuration_version,
+        configuration_seen=row.configuration_seen,
         chain=ChainOut(length=row.chain_length, head=row.chain_head),
         reference_mountings=[ReferenceMounting.model_validate(mounting) for mounting in row.reference_mountings],
     )
+
+
+def requests(session: Session, organisation_id: str, device_id: str) -> list[WindowOut]:
+    """What a box was asked for, the newest first."""
+    device_of(session, organisation_id, device_id)
+    wanted = select(DeviceRequest).where(DeviceRequest.device_id == device_id)
+    rows = session.scalars(wanted.order_by(DeviceRequest.created_at.desc(), DeviceRequest.id).limit(100))
+    return [WindowOut.model_validate(row, from_attributes=True) for row in rows]

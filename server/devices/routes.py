@@ -8,8 +8,19 @@ from fastapi import APIRouter, Header, Query
 from starlette.responses import Response
 
 from server.accounts.access import Administrator, Reader
-from server.devices import queries, service
-from server.devices.schemas import DeviceIn, DeviceOut, DevicePage, DeviceToken, ReferenceMountings, VehicleChoice
+from server.devices import provisioning, queries, service
+from server.devices.schemas import (
+    ClaimCodeOut,
+    DeviceIn,
+    DeviceOut,
+    DevicePage,
+    DeviceSettings,
+    DeviceToken,
+    ReferenceMountings,
+    VehicleChoice,
+    WindowIn,
+    WindowOut,
+)
 from server.edge import DatabaseOf, Now
 from server.problems import described
 
@@ -88,3 +99,47 @@ def put_into_vehicle(
     with database.transaction() as session:
         service.put_into_vehicle(session, caller.organisation_id, device_id, wanted.vehicle_id, at=wanted.at, now=now)
         return queries.device(session, caller.organisation_id, device_id)
+
+
+@router.post("/{device_id}/claim-code", status_code=201, responses=described(409))
+def new_claim_code(device_id: str, caller: Administrator, database: DatabaseOf, now: Now) -> ClaimCodeOut:
+    """A code that the box trades for its token at /api/v1/claim; it voids the box's earlier codes."""
+    with database.transaction() as session:
+        return provisioning.new_claim_code(session, caller.organisation_id, device_id, now=now)
+
+
+@router.put("/{device_id}/settings")
+def set_settings(
+    device_id: str, wanted: DeviceSettings, caller: Administrator, database: DatabaseOf, now: Now
+) -> DeviceOut:
+    """Set what the box is told, how it must show who it is, and how much it may send in a day."""
+    with database.transaction() as session:
+        provisioning.set_settings(session, caller.organisation_id, device_id, wanted, now=now)
+        return queries.device(session, caller.organisation_id, device_id)
+
+
+@router.get("/{device_id}/requests")
+def list_requests(device_id: str, caller: Reader, database: DatabaseOf) -> list[WindowOut]:
+    """What the box was asked for, the newest first."""
+    with database.reading() as session:
+        return queries.requests(session, caller.organisation_id, device_id)
+
+
+@router.post("/{device_id}/requests", status_code=201, responses=described(409))
+def ask_for_window(
+    device_id: str, wanted: WindowIn, caller: Administrator, database: DatabaseOf, now: Now
+) -> WindowOut:
+    """Ask the box for a stretch of its clock; told with every answer until a batch answers it, for a week."""
+    with database.transaction() as session:
+        made = provisioning.ask_for_window(session, caller.organisation_id, device_id, wanted, now=now)
+        session.flush()
+        found = queries.requests(session, caller.organisation_id, device_id)
+    return next(request for request in found if request.id == made)
+
+
+@router.delete("/{device_id}/requests/{request_id}", status_code=204)
+def cancel_request(device_id: str, request_id: str, caller: Administrator, database: DatabaseOf, now: Now) -> Response:
+    """Ask no longer."""
+    with database.transaction() as session:
+        provisioning.cancel_request(session, caller.organisation_id, device_id, request_id, now=now)
+    return Response(status_code=204)

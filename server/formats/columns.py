@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from nav_core.records import Remark
 from server.errors import InvalidError
 
 Floats = NDArray[np.float64]
@@ -49,6 +50,8 @@ class Columns:
     ----------
     values : mapping of str to ndarray, shape (n,)
         Names and units of the drive file; `t` must be there.
+    remarks : tuple of Remark
+        What the reader of a foreign format had to assume or leave out; no part of the hash.
 
     Raises
     ------
@@ -57,6 +60,7 @@ class Columns:
     """
 
     values: dict[str, Floats]
+    remarks: tuple[Remark, ...] = ()
 
     def __post_init__(self) -> None:
         check_names(self.values)

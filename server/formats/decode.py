@@ -37,12 +37,48 @@ def _arrow() -> _Reader:
     return read
 
 
+def _compact() -> _Reader:
+    from server.formats.compact import read
+
+    return read
+
+
+def _codec8e() -> _Reader:
+    from server.formats.codec8e import read
+
+    return read
+
+
+def _mcap() -> _Reader:
+    from server.formats.mcap_log import read
+
+    return read
+
+
+def _nmea() -> _Reader:
+    from server.formats.nmea import read
+
+    return read
+
+
+def _thesis_line() -> _Reader:
+    from server.formats.thesis_line import read
+
+    return read
+
+
 _READERS: dict[str, Callable[[], _Reader]] = {
     "application/json": _json,
     "text/csv": _csv,
     "application/vnd.apache.parquet": _parquet,
     "application/vnd.apache.arrow.stream": _arrow,
+    "application/vnd.scatola.batch": _compact,
+    "application/vnd.scatola.codec8e": _codec8e,
+    "application/vnd.scatola.nmea": _nmea,
+    "application/vnd.scatola.thesis-line": _thesis_line,
+    "application/mcap": _mcap,
 }
+MEDIA_TYPES = tuple(_READERS)
 
 
 def media_type_of(content_type: str) -> str:

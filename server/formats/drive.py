@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from nav_core.records import Drive, Gnss, Inertial, Remark
 from server.errors import InvalidError
-from server.formats.columns import Columns, Floats, check_values
+from server.formats import codec8e, compact, mcap_log, nmea, phone_csv
+from server.formats.columns import NAMES, Columns, Floats, check_values
+from server.formats.csv_text import header_of
 from server.formats.csv_text import read as read_csv
 from server.formats.parquet import read as read_parquet
 from server.formats.tables import write_csv
 from server.formats.thesis_line import is_thesis_line
 from server.formats.thesis_line import read as read_thesis
 
-_PARQUET_MAGIC = b"PAR1"
+# A clock that counts from 1970 and not from a boot.
+_UNIX_S = 1e8
 _FORCE, _RATE, _FIELD = ("fx", "fy", "fz"), ("wx", "wy", "wz"), ("mx", "my", "mz")
 _FIX_COLUMNS = ("lat", "lon", "alt", "speed", "course", "fix")
 
@@ -27,7 +32,7 @@ def to_drive(columns: Columns) -> Drive:
     lat, lon, alt, speed, course, fix.  Where `fix` is 0 the other values are not taken.
     """
     order = np.argsort(columns.values["t"], kind="stable")
-    remarks: list[Remark] = []
+    remarks = list(columns.remarks)
     moved = int(np.count_nonzero(np.diff(columns.values["t"]) < 0.0))
     if moved:
         remarks.append(Remark("rows_out_of_order", f"Time went back {moved} times; the rows were sorted"))
@@ -147,19 +152,42 @@ class DriveFileError(ValueError):
 
 
 def read_drive_columns(path: Path, *, thesis_course_clockwise: bool = False) -> Columns:
-    """Checked columns of a file, its format known by its content: Parquet, CSV or the thesis' text line."""
+    """Checked columns of a file, its format known by its content (docs/device-protocol.md lists them)."""
     body = path.read_bytes()
     try:
-        if body.startswith(_PARQUET_MAGIC):
-            columns = read_parquet(body, max_decoded_bytes=None)
-        elif is_thesis_line(body):
-            columns = read_thesis(body, course_clockwise=thesis_course_clockwise)
-        else:
-            columns = read_csv(body, max_decoded_bytes=None)
+        columns = _reader_of(body, thesis_course_clockwise=thesis_course_clockwise)(body, max_decoded_bytes=None)
+        columns = _from_first_row(columns)
         check_values(columns)
     except InvalidError as error:
-        raise DriveFileError(f"{path} is no drive file (CSV, Parquet, thesis line): {error.detail}") from error
+        kinds = "CSV, Parquet, thesis line, compact batch, MCAP, NMEA, Codec 8E, a phone logger's CSV"
+        raise DriveFileError(f"{path} is no drive file ({kinds}): {error.detail}") from error
     return columns
+
+
+def _reader_of(body: bytes, *, thesis_course_clockwise: bool) -> Callable[..., Columns]:
+    """The reader of a file's format; of a text that is nothing else, the one whose message helps most."""
+    for magic, reader in ((b"PAR1", read_parquet), (compact.MAGIC, compact.read), (mcap_log.MAGIC, mcap_log.read)):
+        if body.startswith(magic):
+            return reader
+    for fits, reader in (
+        (codec8e.is_codec8e, codec8e.read),
+        (nmea.is_nmea, nmea.read),
+        (is_thesis_line, partial(read_thesis, course_clockwise=thesis_course_clockwise)),
+    ):
+        if fits(body):
+            return reader
+    foreign = not set(header_of(body)) <= set(NAMES) and phone_csv.is_phone_csv(body)
+    return phone_csv.read if foreign else read_csv
+
+
+def _from_first_row(columns: Columns) -> Columns:
+    """Formats that only know UTC count from 1970: in a file, where nothing went before, their clock starts at 0."""
+    t = columns.values["t"]
+    if not t.size or not np.nanmin(t) > _UNIX_S:
+        return columns
+    began = float(np.floor(np.nanmin(t)))
+    remark = Remark("clock_is_utc", f"Times count from 1970; t is the time since Unix second {began:.0f}")
+    return Columns({**columns.values, "t": t - began}, (*columns.remarks, remark))
 
 
 def read_drive_file(path: Path, *, thesis_course_clockwise: bool = False) -> Drive:

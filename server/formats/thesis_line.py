@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from server.errors import InvalidError
-from server.formats.columns import Columns, Floats
+from server.formats.columns import Columns, Floats, check_size
 
 FIELDS = 11
 STANDARD_GRAVITY = 9.81
@@ -35,8 +35,10 @@ def _numbers(line: str) -> list[float] | None:
         return None
 
 
-def read(body: bytes, *, course_clockwise: bool = False) -> Columns:
+def read(body: bytes, *, max_decoded_bytes: int | None = None, course_clockwise: bool = False) -> Columns:
     """Columns of such a file; a GPS report that is held over the following rows is taken once."""
+    # Lists of Python floats stand for a while where the columns will be.
+    check_size(4 * (body.count(b"\n") + 1), FIELDS, max_decoded_bytes)
     rows: list[list[float]] = []
     for number, line in enumerate(body.decode("ascii", "replace").splitlines(), start=1):
         if not line.strip():
@@ -45,10 +47,12 @@ def read(body: bytes, *, course_clockwise: bool = False) -> Columns:
         if row is None or not np.isfinite(row).all():
             raise InvalidError(f"Line {number} is not {FIELDS} numbers", code="thesis_line", row=number)
         rows.append(row)
+    if not rows:
+        raise InvalidError("There are no rows", code="empty")
     _, time_ms, lon, lat, alt, speed_kmh, course, fix, *percent = np.array(rows, dtype=np.float64).T
     clockwise = course if course_clockwise else np.mod(-course, 360.0)
     reports = np.column_stack([lon, lat, alt, speed_kmh, course, fix])
-    fresh = ~_held(time_ms / 1000.0, reports)
+    fresh = ~held(time_ms / 1000.0, reports, _GPS_PERIOD_S)
     with_fix = fresh & (fix == 1.0)
     fx, fy, fz = (axis * (STANDARD_GRAVITY / 100.0) for axis in percent)
 
@@ -71,15 +75,16 @@ def read(body: bytes, *, course_clockwise: bool = False) -> Columns:
     )
 
 
-def _held(t: Floats, reports: Floats) -> NDArray[np.bool_]:
+def held(t: Floats, reports: Floats, period_s: float) -> NDArray[np.bool_]:
     """Rows that only repeat the GPS report before them because the next one is not due yet."""
-    held = np.zeros(t.size, dtype=np.bool_)
+    repeats = np.zeros(t.size, dtype=np.bool_)
     taken_at = -np.inf
     changed = np.ones(t.size, dtype=np.bool_)
-    changed[1:] = (np.diff(reports, axis=0) != 0.0).any(axis=1)
+    before, after = reports[:-1], reports[1:]
+    changed[1:] = ((before != after) & ~(np.isnan(before) & np.isnan(after))).any(axis=1)
     for row in range(t.size):
-        if changed[row] or t[row] - taken_at >= _GPS_PERIOD_S:
+        if changed[row] or t[row] - taken_at >= period_s:
             taken_at = t[row]
         else:
-            held[row] = True
-    return held
+            repeats[row] = True
+    return repeats

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import datetime as dt
+from dataclasses import dataclass
 from typing import Annotated, cast
 
 from anyio import CapacityLimiter, to_thread
@@ -12,9 +13,10 @@ from starlette.requests import ClientDisconnect
 
 from server.accounts.access import Caller, DeviceCaller
 from server.database import Database
+from server.devices.provisioning import check_quota, told
 from server.edge import DatabaseOf, Now, SettingsOf, StoreOf, Wake
-from server.errors import ProblemError, TooLargeError, TooManyRequestsError
-from server.formats.decode import decode, media_type_of
+from server.errors import ProblemError, TooLargeError, TooManyRequestsError, UnauthenticatedError
+from server.formats.decode import MEDIA_TYPES, decode, media_type_of
 from server.formats.encoding import encoding_of, unpack
 from server.ingest import queries, service
 from server.ingest.schemas import Acknowledgement
@@ -31,18 +33,30 @@ BODY_TIMEOUT_S = 120.0
 router = APIRouter(tags=["devices"])
 
 
+@dataclass(frozen=True, slots=True)
+class _Sent:
+    """What a request says of its body."""
+
+    key: service.BatchKey
+    media_type: str
+    notes: service.BoxNotes
+    size: int
+
+
 class SlowBodyError(ProblemError):
     status, code, title = 408, "body_timeout", "The body did not arrive in time"
 
 
+_SHAPES: dict[str, dict[str, object]] = {
+    "application/json": {"type": "object", "required": ["columns"]},
+    "text/csv": {"type": "string"},
+}
 _BODY = {
     "requestBody": {
         "required": True,
         "content": {
-            "application/json": {"schema": {"type": "object", "required": ["columns"]}},
-            "text/csv": {"schema": {"type": "string"}},
-            "application/vnd.apache.parquet": {"schema": {"type": "string", "format": "binary"}},
-            "application/vnd.apache.arrow.stream": {"schema": {"type": "string", "format": "binary"}},
+            media_type: {"schema": _SHAPES.get(media_type, {"type": "string", "format": "binary"})}
+            for media_type in MEDIA_TYPES
         },
     }
 }
@@ -58,6 +72,9 @@ async def upload(
     now: Now,
     idempotency_key: Annotated[str | None, Header(description="<boot>/<sequence>")] = None,
     scatola_stream: Annotated[str | None, Header(description="continuous or burst")] = None,
+    scatola_sent_at: Annotated[str | None, Header(description="the box's clock now, s since boot")] = None,
+    scatola_configuration: Annotated[str | None, Header(description="version of the configuration it uses")] = None,
+    scatola_answers: Annotated[str | None, Header(description="ids of requests that this batch answers")] = None,
     content_type: Annotated[str, Header()] = "",
     content_encoding: Annotated[str, Header()] = "",
 ) -> Acknowledgement:
@@ -68,13 +85,17 @@ async def upload(
         seconds = int(wait_s) + 1
         raise TooManyRequestsError(f"Too many uploads; try again in {seconds} s", retry_after_s=seconds)
     key = service.key_of(idempotency_key, scatola_stream)
+    notes = service.notes_of(scatola_sent_at, scatola_configuration, scatola_answers)
     media_type = media_type_of(content_type)
     encoding = encoding_of(content_encoding)
     packed = await _body(request, settings.max_body_bytes)
+    if caller.signed_body_sha256 not in (None, service.body_sha256(packed)):
+        raise UnauthenticatedError("The body is not the one that was signed", code="signature")
+    sent = _Sent(key, media_type, notes, len(packed))
 
     def work() -> tuple[Acknowledgement, int]:
         body = unpack(packed, encoding, max_bytes=settings.max_decoded_bytes)
-        return _store(settings, database, store, caller, key, media_type, body, now)
+        return _store(settings, database, store, caller, sent, body, now)
 
     answer, rows = await to_thread.run_sync(work, limiter=cast("CapacityLimiter", state.upload_slots))
     telemetry = cast("Telemetry", state.telemetry)
@@ -109,19 +130,21 @@ def _store(
     database: Database,
     store: BlobStore,
     caller: Caller,
-    key: service.BatchKey,
-    media_type: str,
+    sent: _Sent,
     body: bytes,
     now: dt.datetime,
 ) -> tuple[Acknowledgement, int]:
     """The answer, and how many rows are new."""
-    device_id = cast("str", caller.device_id)
+    device_id, key, media_type = cast("str", caller.device_id), sent.key, sent.media_type
     sha256 = service.body_sha256(body)
     with database.reading() as session:
         # Most repeats end here, undecoded; `accept` asks again under the device's lock.
         stored = service.known(session, device_id, key, media_type, sha256)
+        if stored is None:
+            limit, burst = settings.device_bytes_per_day, key.stream == "burst"
+            check_quota(session, device_id, sent.size, limit=limit, burst=burst, now=now)
     if stored is not None:
-        return _answer(database, device_id, key, stored.id, now, duplicate=True), 0
+        return _answer(database, device_id, sent, stored.id, now, duplicate=True), 0
     columns = decode(media_type, body, max_decoded_bytes=settings.max_decoded_bytes)
     column_sha256 = columns.column_sha256()
     parquet = columns.to_parquet()
@@ -139,23 +162,26 @@ def _store(
         blob_key=stored_key,
         body_key=body_key,
         stored_bytes=len(parquet) + (len(body) if body_key is not None else 0),
+        sent_bytes=sent.size,
+        notes=sent.notes,
     )
     with database.transaction() as session:
         batch, duplicate = service.accept(session, device_id, made, now=now)
         batch_id = batch.id
-    return _answer(database, device_id, key, batch_id, now, duplicate=duplicate), 0 if duplicate else columns.rows
+    return _answer(database, device_id, sent, batch_id, now, duplicate=duplicate), 0 if duplicate else columns.rows
 
 
 def _answer(
-    database: Database, device_id: str, key: service.BatchKey, batch_id: str, now: dt.datetime, *, duplicate: bool
+    database: Database, device_id: str, sent: _Sent, batch_id: str, now: dt.datetime, *, duplicate: bool
 ) -> Acknowledgement:
     with database.reading() as session:
-        progress = queries.progress(session, device_id, key.stream, key.boot)
+        progress = queries.progress(session, device_id, sent.key.stream, sent.key.boot)
+        requests = told(session, device_id, sent.notes.configuration, now=now)
     return Acknowledgement(
         batch_id=batch_id,
         duplicate=duplicate,
         next_sequence=progress.next_sequence,
         missing=progress.missing,
         server_time=now,
-        requests=[],
+        requests=requests,
     )

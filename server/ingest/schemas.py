@@ -4,12 +4,7 @@ import datetime as dt
 
 from pydantic import BaseModel, Field
 
-
-class WindowRequest(BaseModel):
-    """A stretch of its clock that the box is asked to send again or in more detail."""
-
-    t_first_s: float
-    t_last_s: float
+from server.devices.schemas import Told
 
 
 class Acknowledgement(BaseModel):
@@ -18,4 +13,4 @@ class Acknowledgement(BaseModel):
     next_sequence: int = Field(description="lowest sequence of this boot and stream that is not stored")
     missing: list[tuple[int, int]] = Field(description="inclusive ranges below the highest stored, 100 at most")
     server_time: dt.datetime
-    requests: list[WindowRequest]
+    requests: list[Told] = Field(description="configuration, and windows that the box is asked for")

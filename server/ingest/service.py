@@ -12,6 +12,7 @@ import numpy as np
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
+from server.devices.provisioning import answered, count_bytes
 from server.errors import ConflictError, InvalidError, UnauthenticatedError
 from server.formats.columns import Columns
 from server.ingest.chain import link
@@ -23,6 +24,7 @@ Stream = Literal["continuous", "burst"]
 _KEY = re.compile(r"(?P<boot>[A-Za-z0-9._-]{1,64})/(?P<sequence>0|[1-9][0-9]{0,15})")
 # The largest integer that every JSON reader keeps exact.
 _MAX_SEQUENCE = 2**53 - 1
+_MAX_SENT_S = 1e10
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,6 +34,18 @@ class BatchKey:
     stream: Stream
     boot: str
     sequence: int
+
+
+@dataclass(frozen=True, slots=True)
+class BoxNotes:
+    """What a box says beside a batch."""
+
+    sent_t_s: float | None = None
+    """Its clock when it sent the batch."""
+    configuration: int | None = None
+    """The version of its configuration."""
+    answers: tuple[str, ...] = ()
+    """Requests that this batch answers."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +60,30 @@ class Upload:
     blob_key: str
     body_key: str | None
     stored_bytes: int
+    sent_bytes: int = 0
+    """What counts against the quota."""
+    notes: BoxNotes = BoxNotes()
+
+
+_ANSWERS = re.compile(r"[0-9a-f]{32}(?:,[0-9a-f]{32}){0,19}")
+
+
+def notes_of(sent_at: str | None, configuration: str | None, answers: str | None) -> BoxNotes:
+    """What the headers Scatola-Sent-At, Scatola-Configuration and Scatola-Answers say."""
+    try:
+        sent_t_s = None if sent_at is None else float(sent_at)
+        version = None if configuration is None else int(configuration)
+    except ValueError:
+        raise InvalidError(
+            "Scatola-Sent-At is the box's clock in s, Scatola-Configuration a version", code="box_notes"
+        ) from None
+    named = "" if answers is None else answers.replace(" ", "")
+    wrong_time = sent_t_s is not None and not abs(sent_t_s) <= _MAX_SENT_S
+    if wrong_time or (version is not None and not 0 <= version < 2**31) or (named and not _ANSWERS.fullmatch(named)):
+        raise InvalidError(
+            "Scatola-Sent-At, Scatola-Configuration or Scatola-Answers is out of range", code="box_notes"
+        )
+    return BoxNotes(sent_t_s, version, tuple(named.split(",")) if named else ())
 
 
 def key_of(idempotency_key: str | None, stream: str | None) -> BatchKey:
@@ -94,6 +132,8 @@ def accept(session: Session, device_id: str, upload: Upload, *, now: dt.datetime
     if device.revoked_at is not None:
         raise UnauthenticatedError("The device is revoked")
     device.last_seen_at = now
+    if upload.notes.configuration is not None:
+        device.configuration_seen = upload.notes.configuration
     stored = known(session, device_id, upload.key, upload.media_type, upload.body_sha256)
     if stored is not None:
         return stored, True
@@ -124,11 +164,14 @@ def accept(session: Session, device_id: str, upload: Upload, *, now: dt.datetime
         t_first_s=float(t.min()),
         t_last_s=float(t.max()),
         received_at=now,
+        sent_t_s=upload.notes.sent_t_s,
         chain_index=device.chain_length,
         chain_sha256=chain,
         remarks=remarks_on(upload.columns),
     )
     session.add(batch)
+    count_bytes(device, upload.sent_bytes, now=now)
+    answered(session, device.id, upload.notes.answers, batch.id, now=now)
     _extend_runs(session, device_id, upload.key)
     device.chain_length += 1
     device.chain_head = chain
@@ -165,8 +208,9 @@ def _extend_runs(session: Session, device_id: str, key: BatchKey) -> None:
 
 def remarks_on(columns: Columns) -> list[dict[str, str]]:
     """What a reader of the results must know of these rows."""
+    remarks = [{"code": remark.code, "detail": remark.detail} for remark in columns.remarks]
     steps = np.diff(columns.values["t"])
     back = int(np.count_nonzero(steps < 0.0))
-    if not back:
-        return []
-    return [{"code": "rows_out_of_order", "detail": f"Time goes back {back} times within the batch"}]
+    if back:
+        remarks.append({"code": "rows_out_of_order", "detail": f"Time goes back {back} times within the batch"})
+    return remarks

@@ -158,9 +158,9 @@ class Round:
     def _map_clocks(self, pieces: list[Piece]) -> None:
         """Bring the boots' clocks up to date."""
         boots = self._situation.boots
-        arrivals = {(batch.boot, batch.sequence): batch.received_at for batch in self._situation.batches}
+        sendings = {(batch.boot, batch.sequence): batch for batch in self._situation.batches}
         for name, parts in _by_boot(pieces).items():
-            offset = min(arrivals[name, part.sequence].timestamp() - part.t_last_s for part in parts)
+            offset = min(_arrival_offset(sendings[name, part.sequence]) for part in parts)
             first, last = min(part.t_first_s for part in parts), max(part.t_last_s for part in parts)
             boot = boots.get(name)
             if boot is None:
@@ -364,6 +364,11 @@ def _piece(batch: Batch, digest: Digest) -> Piece:
 def _digest_row(batch: Batch, digest: Digest) -> BatchDigest:
     t, offset = digest.clock_pair() or (None, None)
     return BatchDigest(batch_id=batch.id, content=encode(digest), clock_t_s=t, clock_offset_s=offset)
+
+
+def _arrival_offset(batch: Batch) -> float:
+    """Time of arrival minus box time; a box that says when it sent the batch does not let the wait count."""
+    return batch.received_at.timestamp() - (batch.t_last_s if batch.sent_t_s is None else batch.sent_t_s)
 
 
 def _by_boot(pieces: list[Piece]) -> dict[str, list[Piece]]:

@@ -4,7 +4,7 @@ from server.models.access import SignInCode, ViewTicket, WebSession
 from server.models.base import Base, new_id
 from server.models.batch import Batch, BatchDigest, SequenceRun
 from server.models.change import Change
-from server.models.device import Boot, Device, DeviceState
+from server.models.device import Boot, ClaimCode, Device, DeviceRequest, DeviceState
 from server.models.installation import Installation, MountingRevision
 from server.models.organisation import Organisation
 from server.models.trip import TrackPoint, Trip
@@ -17,7 +17,9 @@ __all__ = [
     "BatchDigest",
     "Boot",
     "Change",
+    "ClaimCode",
     "Device",
+    "DeviceRequest",
     "DeviceState",
     "Installation",
     "MountingRevision",

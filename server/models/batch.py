@@ -45,6 +45,8 @@ class Batch(Base):
     t_first_s: Mapped[float]
     t_last_s: Mapped[float]
     received_at: Mapped[dt.datetime]
+    sent_t_s: Mapped[float | None]
+    """The box's clock when it sent the batch, where it told."""
     chain_index: Mapped[int]
     chain_sha256: Mapped[str] = mapped_column(String(64))
     remarks: Mapped[list[Any]] = mapped_column(default=list)

@@ -3,7 +3,7 @@ from __future__ import annotations
 import datetime as dt
 from typing import Any
 
-from sqlalchemy import ForeignKey, String, UniqueConstraint
+from sqlalchemy import BigInteger, ForeignKey, Index, String, UniqueConstraint, text
 from sqlalchemy.orm import Mapped, mapped_column
 
 from server.models.base import Base, id_column
@@ -13,12 +13,19 @@ class Device(Base):
     """A box: who may upload as it, and the head of its evidence chain."""
 
     __tablename__ = "device"
-    __table_args__ = (UniqueConstraint("organisation_id", "idempotency_key"),)
+    __table_args__ = (
+        UniqueConstraint("organisation_id", "idempotency_key"),
+        Index("ix_device_next_token_hash", "next_token_hash", unique=True),
+    )
 
     id: Mapped[str] = id_column()
     organisation_id: Mapped[str] = mapped_column(ForeignKey("organisation.id"))
     name: Mapped[str] = mapped_column(String(200))
     token_hash: Mapped[str] = mapped_column(String(64), unique=True)
+    next_token_hash: Mapped[str | None] = mapped_column(String(64))
+    """A token that the box asked for and has not used yet; its first use ends the one before."""
+    signed_only: Mapped[bool] = mapped_column(default=False)
+    """Whether the token itself is refused and only signed requests are taken."""
     idempotency_key: Mapped[str | None] = mapped_column(String(200))
     created_at: Mapped[dt.datetime]
     revoked_at: Mapped[dt.datetime | None]
@@ -26,9 +33,58 @@ class Device(Base):
     chain_length: Mapped[int] = mapped_column(default=0)
     chain_head: Mapped[str] = mapped_column(String(64), default="")
     last_seen_at: Mapped[dt.datetime | None]
+    configuration: Mapped[dict[str, Any] | None]
+    """What the box is told to use, and which version of it the box said to have."""
+    configuration_version: Mapped[int] = mapped_column(default=0)
+    configuration_seen: Mapped[int | None]
+    bytes_per_day: Mapped[int | None] = mapped_column(BigInteger)
+    """Its own quota; the installation's where there is none."""
+    quota_day: Mapped[dt.date | None]
+    quota_bytes: Mapped[int] = mapped_column(BigInteger, default=0)
+    """Bytes stored of it on `quota_day`, UTC."""
     reference_mountings: Mapped[list[Any]] = mapped_column(default=list)
     """Mountings known from elsewhere (measured, or a simulation's truth), shown beside the estimate:
     ``[{"from": ISO time, "R_va": [[...]]}, ...]`` in the order of time."""
+
+
+class ClaimCode(Base):
+    """A code that a box trades for its token; only its hash is kept."""
+
+    __tablename__ = "claim_code"
+
+    code_hash: Mapped[str] = mapped_column(String(64), primary_key=True)
+    device_id: Mapped[str] = mapped_column(ForeignKey("device.id", ondelete="CASCADE"), index=True)
+    created_at: Mapped[dt.datetime]
+    expires_at: Mapped[dt.datetime]
+    claimed_at: Mapped[dt.datetime | None]
+
+
+class DeviceRequest(Base):
+    """A stretch of its clock that a box is asked to send as a burst; told with every answer until it is closed."""
+
+    __tablename__ = "device_request"
+    __table_args__ = (
+        Index(
+            "ix_device_request_open",
+            "device_id",
+            postgresql_where=text("closed_at IS NULL"),
+            sqlite_where=text("closed_at IS NULL"),
+        ),
+    )
+
+    id: Mapped[str] = id_column()
+    device_id: Mapped[str] = mapped_column(ForeignKey("device.id", ondelete="CASCADE"))
+    boot: Mapped[str] = mapped_column(String(64))
+    t_first_s: Mapped[float]
+    t_last_s: Mapped[float]
+    reason: Mapped[str] = mapped_column(String(200))
+    created_at: Mapped[dt.datetime]
+    expires_at: Mapped[dt.datetime]
+    closed_at: Mapped[dt.datetime | None]
+    outcome: Mapped[str | None] = mapped_column(String(10))
+    """``answered``, or ``cancelled``."""
+    batch_id: Mapped[str | None] = mapped_column(String(32))
+    """The batch that answered."""
 
 
 class DeviceState(Base):

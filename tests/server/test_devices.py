@@ -50,6 +50,11 @@ def test_a_box_is_registered_and_its_token_shown_once(admin, database, vehicle):
         "created_at": None,
         "revoked_at": None,
         "last_seen_at": None,
+        "signed_only": False,
+        "bytes_per_day": None,
+        "configuration": None,
+        "configuration_version": 0,
+        "configuration_seen": None,
         "chain": {"length": 0, "head": ""},
         "reference_mountings": [],
     }

@@ -258,7 +258,7 @@ def test_progress_among_a_hundred_thousand_batches_is_found_quickly(box, databas
         ({"Idempotency_Key": f"boot1/{2**53}"}, 422, "idempotency_key"),
         ({"Scatola_Stream": "crash"}, 422, "stream"),
         ({"Content_Type": "text/plain"}, 415, "unsupported_media_type"),
-        ({"Content_Type": "application/vnd.scatola.batch"}, 415, "unsupported_media_type"),
+        ({"Content_Type": "application/vnd.scatola.other"}, 415, "unsupported_media_type"),
         ({"Content_Type": "text/csv; charset=latin-1"}, 415, "unsupported_media_type"),
         ({"Content_Encoding": "br"}, 415, "unsupported_media_type"),
         ({"Content_Encoding": "gzip"}, 422, "gzip"),

@@ -1,0 +1,196 @@
+"""How a box comes to its token and keeps it: claim codes, rotation by the box, quotas, what it is told."""
+
+from __future__ import annotations
+
+import datetime as dt
+import secrets
+
+from sqlalchemy import delete, select, update
+from sqlalchemy.orm import Session
+
+from server.accounts.secrets import hash_of, new_token
+from server.devices.queries import device_of
+from server.devices.schemas import (
+    ClaimCodeOut,
+    ConfigurationTold,
+    DeviceSettings,
+    DeviceToken,
+    Told,
+    WindowIn,
+    WindowTold,
+)
+from server.errors import ConflictError, InvalidError, NotFoundError, TooManyRequestsError, UnauthenticatedError
+from server.live.changes import announce
+from server.models import ClaimCode, Device, DeviceRequest, new_id
+
+TOKEN_PREFIX = "scd_"  # noqa: S105  lets scanners find a token that leaked
+CODE_LIFE = dt.timedelta(days=90)
+REQUEST_LIFE = dt.timedelta(days=7)
+MAX_OPEN_REQUESTS = 20
+# Crockford's: no letter that reads like a digit or like another letter.
+_ALPHABET = "0123456789ABCDEFGHJKMNPQRSTVWXYZ"
+_LOOK_ALIKE = str.maketrans({"O": "0", "I": "1", "L": "1"})
+
+
+def new_claim_code(session: Session, organisation_id: str, device_id: str, *, now: dt.datetime) -> ClaimCodeOut:
+    """A code to print on a box or to type into it; it voids the box's earlier ones."""
+    device = device_of(session, organisation_id, device_id, lock=True)
+    if device.revoked_at is not None:
+        raise ConflictError("The device is revoked", code="device_revoked")
+    session.execute(delete(ClaimCode).where(ClaimCode.device_id == device_id))
+    letters = "".join(secrets.choice(_ALPHABET) for _ in range(16))  # 80 bits
+    session.add(ClaimCode(code_hash=hash_of(letters), device_id=device_id, created_at=now, expires_at=now + CODE_LIFE))
+    code = "-".join(letters[at : at + 4] for at in range(0, 16, 4))
+    return ClaimCodeOut(code=code, expires_at=now + CODE_LIFE)
+
+
+def claim(session: Session, code: str, *, now: dt.datetime) -> DeviceToken:
+    """Trade a code for a token.
+
+    An answer may be lost on its way: until the token was used, the code may be traded again, and each time
+    ends the token before.
+    """
+    letters = "".join(letter for letter in code.upper() if letter.isalnum()).translate(_LOOK_ALIKE)
+    row = session.get(ClaimCode, hash_of(letters), with_for_update=True)
+    device = None if row is None else session.get(Device, row.device_id, with_for_update=True)
+    used = row is not None and device is not None and row.claimed_at is not None and _seen_since(device, row.claimed_at)
+    if row is None or device is None or device.revoked_at is not None or row.expires_at <= now or used:
+        raise UnauthenticatedError("The code is not valid, ran out, or was used", code="claim_failed")
+    row.claimed_at = now
+    token = new_token(TOKEN_PREFIX)
+    device.token_hash, device.next_token_hash = hash_of(token), None
+    _announce(session, device, now)
+    return DeviceToken(id=device.id, token=token)
+
+
+def _seen_since(device: Device, moment: dt.datetime) -> bool:
+    return device.last_seen_at is not None and device.last_seen_at >= moment
+
+
+def _announce(session: Session, device: Device, now: dt.datetime) -> None:
+    announce(
+        session,
+        "device",
+        at=now,
+        organisation_id=device.organisation_id,
+        device_id=device.id,
+        vehicle_id=device.vehicle_id,
+    )
+
+
+def ask_for_token(session: Session, device_id: str, *, now: dt.datetime) -> DeviceToken:
+    """A new token for the box that asks; the old one lasts until the new one is used, for an answer may be lost."""
+    device = session.get_one(Device, device_id, with_for_update=True)
+    device.last_seen_at = now
+    token = new_token(TOKEN_PREFIX)
+    device.next_token_hash = hash_of(token)
+    return DeviceToken(id=device.id, token=token)
+
+
+def set_settings(
+    session: Session, organisation_id: str, device_id: str, wanted: DeviceSettings, *, now: dt.datetime
+) -> None:
+    """What the box is told, how it must show who it is, and how much it may send."""
+    device = device_of(session, organisation_id, device_id, lock=True)
+    if device.configuration != wanted.configuration:
+        device.configuration = wanted.configuration
+        device.configuration_version += 1
+    device.signed_only = wanted.signed_only
+    device.bytes_per_day = wanted.bytes_per_day
+    _announce(session, device, now)
+
+
+def ask_for_window(
+    session: Session, organisation_id: str, device_id: str, wanted: WindowIn, *, now: dt.datetime
+) -> str:
+    """Ask a box for a stretch of its clock; id of the request."""
+    device = device_of(session, organisation_id, device_id, lock=True)
+    if len(open_requests(session, device.id, now=now)) >= MAX_OPEN_REQUESTS:
+        raise ConflictError(f"{MAX_OPEN_REQUESTS} requests are open; cancel some", code="requests_full")
+    if wanted.t_last_s <= wanted.t_first_s:
+        raise InvalidError("The window ends before it begins")
+    request = DeviceRequest(
+        id=new_id(),
+        device_id=device.id,
+        boot=wanted.boot,
+        t_first_s=wanted.t_first_s,
+        t_last_s=wanted.t_last_s,
+        reason=wanted.reason,
+        created_at=now,
+        expires_at=now + REQUEST_LIFE,
+    )
+    session.add(request)
+    return request.id
+
+
+def cancel_request(
+    session: Session, organisation_id: str, device_id: str, request_id: str, *, now: dt.datetime
+) -> None:
+    """Ask no longer."""
+    device_of(session, organisation_id, device_id, lock=True)
+    request = session.get(DeviceRequest, request_id)
+    if request is None or request.device_id != device_id:
+        raise NotFoundError(f"There is no request {request_id!r}")
+    if request.closed_at is None:
+        request.closed_at, request.outcome = now, "cancelled"
+
+
+def answered(
+    session: Session, device_id: str, request_ids: tuple[str, ...], batch_id: str, *, now: dt.datetime
+) -> None:
+    """Close the requests that a batch says it answers; others' and unknown ones are passed over."""
+    if request_ids:
+        session.execute(
+            update(DeviceRequest)
+            .where(
+                DeviceRequest.device_id == device_id,
+                DeviceRequest.id.in_(request_ids),
+                DeviceRequest.closed_at.is_(None),
+            )
+            .values(closed_at=now, outcome="answered", batch_id=batch_id)
+        )
+
+
+def open_requests(session: Session, device_id: str, *, now: dt.datetime) -> list[DeviceRequest]:
+    """What a box is still asked for, the oldest first."""
+    wanted = select(DeviceRequest).where(DeviceRequest.device_id == device_id, DeviceRequest.closed_at.is_(None))
+    return list(session.scalars(wanted.where(DeviceRequest.expires_at > now).order_by(DeviceRequest.created_at)))
+
+
+def told(session: Session, device_id: str, configuration_seen: int | None, *, now: dt.datetime) -> list[Told]:
+    """What goes into an answer to a box: its configuration where it has another one, and open requests."""
+    version, configuration = session.execute(
+        select(Device.configuration_version, Device.configuration).where(Device.id == device_id)
+    ).one()
+    items: list[Told] = []
+    if version > 0 and configuration_seen != version:
+        items.append(ConfigurationTold(version=version, values=configuration or {}))
+    items += [
+        WindowTold(id=row.id, boot=row.boot, t_first_s=row.t_first_s, t_last_s=row.t_last_s)
+        for row in open_requests(session, device_id, now=now)
+    ]
+    return items
+
+
+def check_quota(session: Session, device_id: str, size: int, *, limit: int, burst: bool, now: dt.datetime) -> None:
+    """Raise when a box has sent too much today; bursts are evidence, so they have as much again."""
+    day, used, own = session.execute(
+        select(Device.quota_day, Device.quota_bytes, Device.bytes_per_day).where(Device.id == device_id)
+    ).one()
+    allowed = (limit if own is None else own) * (2 if burst else 1)
+    today = now.astimezone(dt.UTC).date()
+    if (used if day == today else 0) + size > allowed:
+        midnight = dt.datetime.combine(today + dt.timedelta(days=1), dt.time(), dt.UTC)
+        raise TooManyRequestsError(
+            f"More than {allowed} bytes today; go on at midnight UTC",
+            code="quota",
+            retry_after_s=int((midnight - now).total_seconds()) + 1,
+        )
+
+
+def count_bytes(device: Device, size: int, *, now: dt.datetime) -> None:
+    """Count what was stored of a box whose row is locked."""
+    today = now.astimezone(dt.UTC).date()
+    if device.quota_day != today:
+        device.quota_day, device.quota_bytes = today, 0
+    device.quota_bytes += size
