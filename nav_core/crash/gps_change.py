@@ -203,12 +203,14 @@ def after(
     late = 2.0 * lags.sigma * (lags.sigma > LAG_SIGMA)
     use = (described >= t_end + SETTLED + late) & (gnss.t - lags.course >= t_end + COURSE_SETTLED + late)
     use &= described <= t_end + AFTER
-    use &= np.isfinite(gnss.course) | (gnss.speed < SLOW)
     if not use.any() or not np.isfinite(known.course):
         return None
     at, speed = described[use], gnss.speed[use]
-    course = np.where(np.isfinite(gnss.course[use]), gnss.course[use], known.course) - known.course
-    z = speed[:, None] * np.stack((np.cos(course), np.sin(course)), axis=1)
+    # Speed and course of a fix describe two moments: the course must not be that of a crawl.
+    then = np.interp(gnss.t[use] - lags.course, described, gnss.speed)
+    told = np.isfinite(gnss.course[use]) & (np.minimum(speed, then) >= SLOW)
+    course = np.where(told, gnss.course[use] - known.course, 0.0)
+    z = np.where(told, speed, 0.0)[:, None] * np.stack((np.cos(course), np.sin(course)), axis=1)
     moments, gained = path
     seen = np.column_stack([np.interp(at, moments, gained[:, axis]) for axis in range(2)])
     later = np.column_stack([np.interp(at + lags.sigma, moments, gained[:, axis]) for axis in range(2)])
@@ -216,8 +218,7 @@ def after(
     covered = np.clip(moments[-1] - t_end, 0.0, elapsed)
     walk = (3.0 if spinning else 1.0) * WALK
     spread = walk**2 * covered + GAP_WALK**2 * (elapsed - covered)
-    # At a crawl the course says little: the direction of that speed is open.
-    crawl = np.diag(np.where(speed < SLOW, 0.5 * speed**2, 0.0))
+    crawl = np.diag(np.where(told, 0.0, 0.5 * speed**2))  # in any direction
     C = repeating(at, SPEED_NOISE) + np.minimum(spread[:, None], spread[None, :]) + crawl
     values = np.empty(2)
     P = np.zeros((2, 2))

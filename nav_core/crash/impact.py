@@ -23,7 +23,7 @@ MARGIN = 0.5
 SCALE = 0.004
 """1 sigma of the accelerometer's scale, share."""
 
-ROTATION = np.radians(0.5)
+ROTATION = np.radians(0.25)
 """1 sigma of what turning axes do to the direction where no gyro holds them, rad."""
 
 JITTER = 0.025
