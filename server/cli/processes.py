@@ -70,10 +70,11 @@ def warm_up(args: argparse.Namespace) -> int:
     """`scatola warm-up`: run what service and commands compile once, on a short drive, so that nobody waits for it."""
     del args
     set_numba_cache_dir()
+    from nav_core.crash import reconstruct_drive
     from nav_core.mounting import estimate_mounting
     from nav_core.navigation import navigate, navigate_without_gyro
     from nav_core.sensors import identify
-    from nav_core.simulate import Scenario, simulate
+    from nav_core.simulate import Impact, Scenario, simulate
 
     drive, truth = simulate(Scenario(duration=60.0, accel_rate=50.0, with_gyro=True), seed=0)
     for method in ("whole-drive", "online", "mekf"):
@@ -81,4 +82,7 @@ def warm_up(args: argparse.Namespace) -> int:
     navigate(drive, truth.R_va)
     navigate_without_gyro(drive, truth.R_va)
     identify(drive.inertial.f[:, 0].copy(), 50.0)
+    blow = Impact(t=170.0, delta_v=8.0, speed=12.0)
+    struck, _ = simulate(Scenario(duration=180.0, accel_rate=100.0, impacts=(blow,)), seed=0)
+    reconstruct_drive(struck, estimate_mounting(struck))
     return 0
