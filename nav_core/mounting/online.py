@@ -215,6 +215,7 @@ def _window(record: Record, begin: float, end: float) -> Record:
         record.f[ticks],
         record.step[ticks],
         Fixes(*(column[fixes] for column in record.fixes)),
+        record.density[ticks],
     )
 
 
