@@ -5,7 +5,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 PYTEST_WORKERS ?= 2
 
-.PHONY: help setup run test check bench vendor lock clean
+.PHONY: help setup run test check bench bench-moved vendor lock clean
 .DEFAULT_GOAL := help
 
 help:  ## This list
@@ -30,6 +30,9 @@ check: setup node_modules/ready  ## Lint, types, architecture, JavaScript, migra
 
 bench: setup  ## Speed of the numerics and of the ingest path
 	$(BIN)/python benchmarks/run.py
+
+bench-moved: setup  ## False and missed alarms of a moved box, 3000 h (hours to run; goes on where it was stopped)
+	$(BIN)/python benchmarks/moved.py
 
 vendor: node_modules/ready  ## Copy the pinned front-end libraries into web/vendor
 	node scripts/vendor.mjs

@@ -8,12 +8,13 @@ of the accelerometer and a rough ride raise suspicions; they do not survive that
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from nav_core.mounting.confidence import FLOOR, assess
-from nav_core.mounting.model import Noise
+from nav_core.mounting.model import MILLI_G, Noise
 from nav_core.mounting.quality import excitation, fits_a_car
 from nav_core.mounting.refine import BLOCK, HUBER, Fit, weigh
 from nav_core.mounting.solution import Solution, between, solve
@@ -27,8 +28,12 @@ LEAST_SIDE = 25.0
 LEAST_MOVING = 30.0
 """A change of heading alone needs this much driving on either side, s."""
 
-LEAST_ANGLE = np.radians(6.0)
-"""Smaller differences are left to bias drift and the like, rad."""
+LEAST_ANGLE = np.radians(3.3)
+"""Smaller differences are left to other roads and the like, rad."""
+
+STRANGER = 25.0 * MILLI_G
+"""Bias that either side of a suspected move may have for itself, m/s²: a cold morning after a hot evening.  What
+is left of a difference then is what driving tells of it, and a bias cannot pass for a turn of the box."""
 
 SURE = 30.0
 """Squared difference over its covariance (three degrees of freedom) that counts as a move."""
@@ -88,7 +93,7 @@ def evidence_suspicion(fit: Fit) -> float | None:
     ratio = max(float(fit.misfit.sum() / max(fit.count.sum(), 1.0)), 1.0)
     best = int(np.argmax(first + second))
     clear = (first[best] + second[best] - whole) / ratio > SURE
-    far = float(np.linalg.norm(turn_second[best] - turn_first[best])) > 0.5 * LEAST_ANGLE
+    far = float(np.linalg.norm(turn_second[best] - turn_first[best])) > 0.7 * LEAST_ANGLE
     return fit.begin + (best + least) * BLOCK if clear and far else None
 
 
@@ -112,7 +117,9 @@ def pieces_of(record: Record, noise: Noise, *, depth: int = MAX_DEPTH) -> list[P
     whole = Piece(record, solution)
     if depth == 0:
         return [whole]
-    for when in (tilt_suspicion(record), evidence_suspicion(solution.rough)):
+    # The rough fit holds the noise of an ordinary drive, but of a long one it knows an excerpt only.
+    evidence = solution.fit if solution.fit.gram.shape[0] > solution.rough.gram.shape[0] else solution.rough
+    for when in (tilt_suspicion(record), evidence_suspicion(evidence)):
         cut = None if when is None else _confirmed(record, when, noise)
         if cut is not None:
             first, second = cut
@@ -123,6 +130,7 @@ def pieces_of(record: Record, noise: Noise, *, depth: int = MAX_DEPTH) -> list[P
 def _confirmed(record: Record, when: float, noise: Noise) -> tuple[Record, Record] | None:
     """Both sides of a suspected move, with the moment sharpened; None when they agree."""
     sides = _sides(record, when)
+    noise = replace(noise, bias=max(noise.bias, STRANGER))
     for _ in range(2):
         if sides is None:
             return None

@@ -56,10 +56,11 @@ REASONS = {
     "gps_frozen": "The satellite receiver repeated old fixes for {} s; they were left out.",
     "gps_late": "The satellite receiver is {} s late; this is accounted for.",
     "slow_gps": "The satellite receiver gives {} fixes a second: enough, but it takes longer.",
-    "slow_accelerometer": "The accelerometer gives {} samples a second: enough, but it takes longer.",
+    "slow_accelerometer": "The accelerometer gives only {} samples a second: vibration blurs it, and it takes longer.",
     "clock_jump": "The clock of the box jumped by {} s.",
     "clock_torn": "The clock of the box jumped back; {} s around it were left out.",
     "utc_jump": "The receiver's UTC jumped by {} s against the clock of the box.",
+    "aboard": "For {} min the vehicle was carried, by a ferry or a train; this was left out.",
     "carried": "For a while the vehicle sat differently and came back: was it carried or towed?",
 }
 
@@ -131,8 +132,9 @@ def gravity_wander(record: Record, span: float = 20.0) -> float:
     return float(np.percentile(angles, 80.0))
 
 
-SWAY = np.radians(2.0)
-"""Tilt of a fixed box does not scatter by this from stretch to stretch, rad."""
+SWAY = np.radians([2.0, 6.0, 12.0])
+"""The mounting of a fixed box does not scatter by this from stretch to stretch, rad about V x, y, z.  Roll tells
+best; a real road's slope passes for 3° of pitch, and a stretch without turns and braking for any yaw."""
 
 _SWAY_SPAN = 30.0
 _SWAY_SURE = 3.0

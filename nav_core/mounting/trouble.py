@@ -21,7 +21,7 @@ from nav_core.mounting.quality import excitation, fits_a_car, reason
 from nav_core.mounting.refine import HUBER, Fit, refine, weigh
 from nav_core.mounting.reversing import distances, reversals
 from nav_core.mounting.solution import EXCERPT, Solution, excerpt
-from nav_core.mounting.stretch import Record, Span
+from nav_core.mounting.stretch import Fixes, Record, Span
 from nav_core.records import Gnss, Reason
 from nav_core.rotation import angle_between
 from nav_core.signal import KERNEL_TICKS, Ticks
@@ -56,6 +56,20 @@ JUMP = 1.0
 AROUND_JUMP = 5.0
 """Left out around a jump back of the box clock, s."""
 
+STANDING = 0.3
+TRAVELLING = 6.0
+"""m/s."""
+
+LEAST_AT_REST = 15.0
+LEAST_ABOARD = 90.0
+"""s."""
+
+QUIET = 1.15
+"""Vibration aboard is less than this many times that at a stand."""
+
+TRUSTED_AFTER = 180.0
+"""So long a drive without a bend is a straight road, s."""
+
 BENDS = 3.0
 """Handedness shows in bends: with less noticeable acceleration across the travel it is taken on trust, s."""
 
@@ -88,13 +102,15 @@ class Trouble:
     left_out: tuple[Span, ...] = ()
 
 
-def inspect(ticks: Ticks, gnss: Gnss) -> Trouble:
+def inspect(ticks: Ticks, gnss: Gnss, fixes: Fixes) -> Trouble:
     """Look over a recording before anything is estimated.
 
     Parameters
     ----------
     ticks : Ticks
     gnss : Gnss
+    fixes : Fixes
+        The usable ones of `gnss`.
 
     Returns
     -------
@@ -112,7 +128,10 @@ def inspect(ticks: Ticks, gnss: Gnss) -> Trouble:
     for remark in (frozen(gnss), slow_fixes(gnss), slow_samples(ticks)):
         if remark is not None:
             remarks.append(remark)
-    return Trouble(None, tuple(remarks), tuple(sorted((*torn, *backwards))))
+    aboard = unshaken(ticks, fixes)
+    if aboard:
+        remarks.append(reason("aboard", f"{sum(span.end - span.begin for span in aboard) / 60.0:.0f}"))
+    return Trouble(None, tuple(remarks), tuple(sorted((*torn, *backwards, *aboard))))
 
 
 def wrong_unit(ticks: Ticks) -> Reason | None:
@@ -143,6 +162,38 @@ def wrong_unit(ticks: Ticks) -> Reason | None:
     if middle < 0.5 * GRAVITY and flicker > 0.5 * FLICKER:
         return reason("no_gravity")
     return reason("wrong_unit", f"numbers {middle / GRAVITY:.3g} times too large")
+
+
+def unshaken(ticks: Ticks, fixes: Fixes) -> tuple[Span, ...]:
+    """Stretches in which the vehicle travels and its box feels no more vibration than at a stand.
+
+    Wheels on a road shake a box; a ferry or a train carries a vehicle as quietly as it stands.
+
+    Parameters
+    ----------
+    ticks : Ticks
+    fixes : Fixes
+
+    Returns
+    -------
+    tuple of Span
+        None where the vehicle never stood: then nothing says how quiet it can be.
+    """
+    valid = ticks.valid
+    if fixes.t.size < 2 or not valid.any():
+        return ()
+    t, shaking = ticks.t[valid], ticks.scatter[valid]
+    speed = np.interp(t, fixes.t, fixes.speed)
+    at_rest = shaking[speed < STANDING]
+    if at_rest.size < LEAST_AT_REST * ticks.rate:
+        return ()
+    quiet = QUIET * float(np.median(at_rest))
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], (speed > TRAVELLING).astype(np.int8), [0]])))
+    spans: list[Span] = []
+    for first, after in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+        if t[after - 1] - t[first] > LEAST_ABOARD and float(np.median(shaking[first:after])) < quiet:
+            spans.append(Span(float(t[first]) - AROUND_JUMP, float(t[after - 1]) + AROUND_JUMP))
+    return tuple(spans)
 
 
 def sampling_rate(ticks: Ticks) -> float:

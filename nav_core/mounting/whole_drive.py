@@ -26,7 +26,7 @@ from nav_core.mounting.quality import (
 from nav_core.mounting.refine import Fit
 from nav_core.mounting.self_test import self_test
 from nav_core.mounting.stretch import Record, prepare, usable_fixes
-from nav_core.mounting.trouble import BENDS, HANDED, MIRRORED, came_back, handedness, inspect, late
+from nav_core.mounting.trouble import BENDS, HANDED, MIRRORED, TRUSTED_AFTER, came_back, handedness, inspect, late
 from nav_core.records import Gnss, MountingChange, MountingEstimate, Reason
 from nav_core.rotation import angle_between
 from nav_core.signal import Ticks
@@ -56,11 +56,11 @@ def estimate(ticks: Ticks, gnss: Gnss, *, noise: Noise | None = None) -> Mountin
         after them, are left out.
     """
     noise = noise or Noise()
-    trouble = inspect(ticks, gnss)
+    fixes = usable_fixes(gnss)
+    trouble = inspect(ticks, gnss, fixes)
     if trouble.refused is not None:
         return _without(refusal(trouble.refused))
     remarks = trouble.remarks
-    fixes = usable_fixes(gnss)
     found_blows = blows(ticks, fixes)
     record = cut_out(prepare(ticks, fixes), (*found_blows, *trouble.left_out))
     verdict = before_fit(record, excitation(record))
@@ -72,7 +72,7 @@ def estimate(ticks: Ticks, gnss: Gnss, *, noise: Noise | None = None) -> Mountin
     handed = handedness(last.record, last.solution, noise) if bends else 0.0
     if handed < -MIRRORED:
         return _without(refusal(reason("mirrored")), remarks=remarks)
-    if loosely_held(len(pieces) - 1, record) or _is_loose(last):
+    if loosely_held(len(pieces) - 1, record) or _loose(pieces):
         return _without(LOOSE, remarks=remarks)
     changes = _changes(pieces, found_blows)
     offered = excitation(last.record)
@@ -81,10 +81,11 @@ def estimate(ticks: Ticks, gnss: Gnss, *, noise: Noise | None = None) -> Mountin
     if verdict.status in ("insufficient", "not_fixed"):
         unlike_a_car = any(each.code == "mismatch" for each in verdict.reasons)
         return _without(LOOSE if changes and unlike_a_car else verdict, changes, remarks)
-    if bends and handed < HANDED:
-        verdict = verdict.held_back("handedness_open")
-    if not bends:
+    trusted = not bends and offered.moving > TRUSTED_AFTER
+    if trusted:
         remarks += (reason("handedness_trusted"),)
+    elif handed < HANDED:
+        verdict = verdict.held_back("handedness_open")
     fit = last.solution.fit
     speed_lag, course_lag = _known_lags(fit)
     remarks += late(speed_lag, course_lag if bends else None)
@@ -108,9 +109,16 @@ def estimate(ticks: Ticks, gnss: Gnss, *, noise: Noise | None = None) -> Mountin
     )
 
 
-def _is_loose(piece: Piece) -> bool:
-    tilt = float(sway(piece.solution.fit)[:2].max())
-    return gravity_wander(piece.record) > WANDER or tilt > SWAY
+def _loose(pieces: list[Piece]) -> bool:
+    """Whether the last piece is loose, or follows a loose one that was driven longer: that has yet to be outlived."""
+    if _sways(pieces[-1]):
+        return True
+    quiet = excitation(pieces[-1].record).moving
+    return any(_sways(piece) and excitation(piece.record).moving > quiet for piece in pieces[:-1])
+
+
+def _sways(piece: Piece) -> bool:
+    return gravity_wander(piece.record) > WANDER or bool((sway(piece.solution.fit) > SWAY).any())
 
 
 def _changes(pieces: list[Piece], spoiled: tuple[Blow, ...]) -> tuple[MountingChange, ...]:
@@ -118,6 +126,8 @@ def _changes(pieces: list[Piece], spoiled: tuple[Blow, ...]) -> tuple[MountingCh
         MountingChange(
             _turned_at(before.record, after.record, spoiled),
             angle_between(after.solution.fit.R_va, before.solution.fit.R_va),
+            before.solution.fit.R_va,
+            after.solution.fit.R_va,
         )
         for before, after in pairwise(pieces)
     )
