@@ -12,9 +12,10 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from nav_core.mounting.confidence import FLOOR, assess
-from nav_core.mounting.model import MILLI_G, Noise
+from nav_core.mounting.model import MILLI_G, TURN, Noise
 from nav_core.mounting.quality import excitation, fits_a_car
 from nav_core.mounting.refine import BLOCK, HUBER, Fit, weigh
 from nav_core.mounting.solution import Solution, between, solve
@@ -37,6 +38,16 @@ is left of a difference then is what driving tells of it, and a bias cannot pass
 
 SURE = 30.0
 """Squared difference over its covariance (three degrees of freedom) that counts as a move."""
+
+NEIGHBOURHOOD = 60.0
+"""A suspicion knows the moment to this, s."""
+
+PAUSE = 60.0
+NEAR_PAUSE = 30.0
+"""A box is turned while the vehicle is parked rather than half a minute later, s."""
+
+LINEAR = 0.3
+"""Up to this turn the evidence is good for more than its own mounting, rad."""
 
 MAX_DEPTH = 4
 _TILT = np.radians(8.0)
@@ -129,20 +140,21 @@ def pieces_of(record: Record, noise: Noise, *, depth: int = MAX_DEPTH) -> list[P
 
 def _confirmed(record: Record, when: float, noise: Noise) -> tuple[Record, Record] | None:
     """Both sides of a suspected move, with the moment sharpened; None when they agree."""
-    sides = _sides(record, when)
     noise = replace(noise, bias=max(noise.bias, STRANGER))
+    confirmed: tuple[Record, Record] | None = None
     for _ in range(2):
+        sides = _sides(record, when)
         if sides is None:
-            return None
+            break
         before, after = (solve(side, noise) for side in sides)
         if not _differ(sides, before, after):
-            return None
-        sharper = _moment(record, before.fit, after.fit, noise)
+            break
+        confirmed = sides
+        sharper = _moment(record, when, before.fit, after.fit, noise)
         if abs(sharper - when) < BLOCK:
             break
         when = sharper
-        sides = _sides(record, when)
-    return sides
+    return confirmed
 
 
 def _sides(record: Record, when: float) -> tuple[Record, Record] | None:
@@ -174,14 +186,32 @@ def _differ(sides: tuple[Record, Record], before: Solution, after: Solution) -> 
     return bool(np.linalg.norm(e) > LEAST_ANGLE and e @ np.linalg.solve(doubt, e) > SURE)
 
 
-def _moment(record: Record, before: Fit, after: Fit, noise: Noise) -> float:
-    """Box time of the move that makes the record most likely, given both mountings.
+def _moment(record: Record, when: float, before: Fit, after: Fit, noise: Noise) -> float:
+    """Box time of the move, near a guess, that makes the record most likely, given both mountings.
 
-    Every stretch begins anew, so that what the wrong mounting did to the state ends with it.
+    The sides differ in biases, gains and lags as well, which says nothing of the moment: the turn alone
+    is compared, all else being that of the side before.  A large turn cannot be followed linearly;
+    there every stretch begins anew, so that what the wrong mounting did to the state ends with it.
     """
-    costs: list[Floats] = []
-    for fit in (before, after):
-        evidence = weigh(record, fit.R_va, (fit.speed_lag, fit.course_lag), noise, fit.p, HUBER, restart=True)
-        costs.append((evidence.misfit(fit.p) + evidence.log_det).sum(1))
-    gain = np.concatenate([[0.0], np.cumsum(costs[0] - costs[1])])
-    return float(record.fixes.t[0]) + int(np.argmin(gain)) * BLOCK
+    near = between(record, when - NEIGHBOURHOOD, when + NEIGHBOURHOOD)
+    turn = Rotation.from_matrix(after.R_va @ before.R_va.T).as_rotvec()
+    small = float(np.linalg.norm(turn)) < LINEAR
+    lags = (before.speed_lag, before.course_lag)
+
+    def cost(R_va: Floats, p: Floats) -> Floats:
+        evidence = weigh(near, R_va, lags, noise, before.p, HUBER, restart=not small)
+        return (evidence.misfit(p) + evidence.log_det).sum(1)
+
+    turned = before.p.copy()
+    turned[TURN] += turn
+    other = cost(before.R_va, turned) if small else cost(after.R_va, before.p)
+    gain = np.concatenate([[0.0], np.cumsum(cost(before.R_va, before.p) - other)])
+    return _at_a_pause(record, float(near.fixes.t[0]) + int(np.argmin(gain)) * BLOCK)
+
+
+def _at_a_pause(record: Record, when: float) -> float:
+    """The end of a pause between trips, where one is near enough for the evidence not to tell: s."""
+    t = record.fixes.t
+    pauses = np.flatnonzero(np.diff(t) > PAUSE)
+    ends = t[pauses + 1][(t[pauses] - NEAR_PAUSE < when) & (when < t[pauses + 1] + NEAR_PAUSE)]
+    return float(ends[0]) if ends.size else when
