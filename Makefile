@@ -5,7 +5,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 PYTEST_WORKERS ?= 2
 
-.PHONY: help setup run test check bench bench-mounting bench-crash vendor lock clean
+.PHONY: help setup run test check bench bench-mounting bench-crash vendor lock clean bench-moved
 .DEFAULT_GOAL := help
 
 help:  ## This list
@@ -36,6 +36,9 @@ bench-mounting: setup  ## Over 2000 simulated drives: docs/mounting-benchmark.md
 
 bench-crash: setup  ## 500 simulated crashes, 200 hours without one; writes docs/crash-benchmark.md (half an hour)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/crash.py
+
+bench-moved: setup  ## False and missed alarms of a moved box, 3000 h (hours to run; goes on where it was stopped)
+	$(BIN)/python benchmarks/moved.py
 
 vendor: node_modules/ready  ## Copy the pinned front-end libraries into web/vendor
 	node scripts/vendor.mjs

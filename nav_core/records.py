@@ -181,12 +181,28 @@ class SelfTest:
 
 @dataclass(frozen=True, slots=True)
 class MountingChange:
-    """The box was turned in its vehicle."""
+    """The box was turned in its vehicle.
+
+    Attributes
+    ----------
+    t : float
+        Box clock, s.
+    angle : float
+        Rotation angle between the mountings before and after, rad.
+    before, after : ndarray, shape (3, 3), optional
+        R_va before and after; `angle` may be known better than either.
+    """
 
     t: float
-    """Box clock, s."""
     angle: float
-    """Rotation angle between the mountings before and after, rad."""
+    before: Floats | None = None
+    after: Floats | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("before", "after"):
+            R_va = getattr(self, name)
+            if R_va is not None:
+                object.__setattr__(self, name, _triads(f"change.{name}", R_va, 3))
 
 
 @dataclass(frozen=True, slots=True)

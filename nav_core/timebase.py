@@ -131,8 +131,9 @@ def stale(gnss: Gnss) -> Flags:
     Returns
     -------
     ndarray of bool, shape (n,)
-        True where the receiver's own time did not advance, or, where it is unknown, where nothing
-        at all changed although the vehicle moves.  A parked vehicle may well repeat itself.
+        True where the receiver's own time did not advance, or, where it is unknown or mostly stands
+        still while the rest changes, where nothing at all changed although the vehicle moves.  A
+        parked vehicle may well repeat itself.
     """
     repeat = np.zeros(gnss.t.size, dtype=np.bool_)
     if gnss.t.size < 2:
@@ -143,6 +144,9 @@ def stale(gnss: Gnss) -> Flags:
     same &= gnss.speed[1:] > 0.5
     if gnss.utc is not None:
         dated = np.isfinite(gnss.utc[1:]) & np.isfinite(gnss.utc[:-1])
+        fresh = dated & ~same & (gnss.speed[1:] > 0.5)
+        if np.count_nonzero(np.diff(gnss.utc)[fresh] <= 0.0) > 0.5 * np.count_nonzero(fresh):
+            dated[:] = False  # whole seconds at several fixes a second, or a time that is not known yet
         same = np.where(dated, np.diff(gnss.utc) <= 0.0, same)
     repeat[1:] = same & gnss.fix[1:] & gnss.fix[:-1]
     return repeat

@@ -8,11 +8,12 @@ gap like any other; a box that the crash turned is found from the driving after 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from nav_core.mounting.stretch import FOLLOW_SPEED, Fixes, Record
+from nav_core.mounting.stretch import FOLLOW_SPEED, Fixes, Record, Span
 from nav_core.signal import Ticks
 from nav_core.typing import Flags, Floats
 
@@ -81,13 +82,13 @@ def blows(ticks: Ticks, fixes: Fixes) -> tuple[Blow, ...]:
     return () if lost.sum() >= MOST * moving.sum() else tuple(found)
 
 
-def cut_out(record: Record, found: tuple[Blow, ...]) -> Record:
-    """The record without what blows have spoiled; what follows a cut begins anew.
+def cut_out(record: Record, found: Sequence[Blow | Span]) -> Record:
+    """The record without what is spoiled; what follows a cut begins anew.
 
     Parameters
     ----------
     record : Record
-    found : tuple of Blow
+    found : sequence of Blow or Span
 
     Returns
     -------
@@ -135,8 +136,8 @@ def _driving_again(fixes: Fixes, since: float) -> float:
     return max(since, float(fixes.t[np.argmax(moving)]) - LONGEST_LAG)
 
 
-def _inside(t: Floats, found: list[Blow] | tuple[Blow, ...]) -> Flags:
+def _inside(t: Floats, found: Sequence[Blow | Span]) -> Flags:
     out = np.zeros(t.size, dtype=np.bool_)
-    for blow in found:
-        out |= (t >= blow.begin) & (t < blow.end)
+    for span in found:
+        out |= (t >= span.begin) & (t < span.end)
     return out

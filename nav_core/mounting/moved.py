@@ -8,12 +8,14 @@ of the accelerometer and a rough ride raise suspicions; they do not survive that
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from nav_core.mounting.confidence import FLOOR, assess
-from nav_core.mounting.model import Noise
+from nav_core.mounting.model import MILLI_G, TURN, Noise
 from nav_core.mounting.quality import excitation, fits_a_car
 from nav_core.mounting.refine import BLOCK, HUBER, Fit, weigh
 from nav_core.mounting.solution import Solution, between, solve
@@ -27,11 +29,25 @@ LEAST_SIDE = 25.0
 LEAST_MOVING = 30.0
 """A change of heading alone needs this much driving on either side, s."""
 
-LEAST_ANGLE = np.radians(6.0)
-"""Smaller differences are left to bias drift and the like, rad."""
+LEAST_ANGLE = np.radians(3.3)
+"""Smaller differences are left to other roads and the like, rad."""
+
+STRANGER = 25.0 * MILLI_G
+"""Bias that either side of a suspected move may have for itself, m/s²: a cold morning after a hot evening.  What
+is left of a difference then is what driving tells of it, and a bias cannot pass for a turn of the box."""
 
 SURE = 30.0
 """Squared difference over its covariance (three degrees of freedom) that counts as a move."""
+
+NEIGHBOURHOOD = 60.0
+"""A suspicion knows the moment to this, s."""
+
+PAUSE = 60.0
+NEAR_PAUSE = 30.0
+"""A box is turned while the vehicle is parked rather than half a minute later, s."""
+
+LINEAR = 0.3
+"""Up to this turn the evidence is good for more than its own mounting, rad."""
 
 MAX_DEPTH = 4
 _TILT = np.radians(8.0)
@@ -88,7 +104,7 @@ def evidence_suspicion(fit: Fit) -> float | None:
     ratio = max(float(fit.misfit.sum() / max(fit.count.sum(), 1.0)), 1.0)
     best = int(np.argmax(first + second))
     clear = (first[best] + second[best] - whole) / ratio > SURE
-    far = float(np.linalg.norm(turn_second[best] - turn_first[best])) > 0.5 * LEAST_ANGLE
+    far = float(np.linalg.norm(turn_second[best] - turn_first[best])) > 0.7 * LEAST_ANGLE
     return fit.begin + (best + least) * BLOCK if clear and far else None
 
 
@@ -112,7 +128,9 @@ def pieces_of(record: Record, noise: Noise, *, depth: int = MAX_DEPTH) -> list[P
     whole = Piece(record, solution)
     if depth == 0:
         return [whole]
-    for when in (tilt_suspicion(record), evidence_suspicion(solution.rough)):
+    # The rough fit holds the noise of an ordinary drive, but of a long one it knows an excerpt only.
+    evidence = solution.fit if solution.fit.gram.shape[0] > solution.rough.gram.shape[0] else solution.rough
+    for when in (tilt_suspicion(record), evidence_suspicion(evidence)):
         cut = None if when is None else _confirmed(record, when, noise)
         if cut is not None:
             first, second = cut
@@ -122,19 +140,21 @@ def pieces_of(record: Record, noise: Noise, *, depth: int = MAX_DEPTH) -> list[P
 
 def _confirmed(record: Record, when: float, noise: Noise) -> tuple[Record, Record] | None:
     """Both sides of a suspected move, with the moment sharpened; None when they agree."""
-    sides = _sides(record, when)
+    noise = replace(noise, bias=max(noise.bias, STRANGER))
+    confirmed: tuple[Record, Record] | None = None
     for _ in range(2):
+        sides = _sides(record, when)
         if sides is None:
-            return None
+            break
         before, after = (solve(side, noise) for side in sides)
         if not _differ(sides, before, after):
-            return None
-        sharper = _moment(record, before.fit, after.fit, noise)
+            break
+        confirmed = sides
+        sharper = _moment(record, when, before.fit, after.fit, noise)
         if abs(sharper - when) < BLOCK:
             break
         when = sharper
-        sides = _sides(record, when)
-    return sides
+    return confirmed
 
 
 def _sides(record: Record, when: float) -> tuple[Record, Record] | None:
@@ -166,14 +186,32 @@ def _differ(sides: tuple[Record, Record], before: Solution, after: Solution) -> 
     return bool(np.linalg.norm(e) > LEAST_ANGLE and e @ np.linalg.solve(doubt, e) > SURE)
 
 
-def _moment(record: Record, before: Fit, after: Fit, noise: Noise) -> float:
-    """Box time of the move that makes the record most likely, given both mountings.
+def _moment(record: Record, when: float, before: Fit, after: Fit, noise: Noise) -> float:
+    """Box time of the move, near a guess, that makes the record most likely, given both mountings.
 
-    Every stretch begins anew, so that what the wrong mounting did to the state ends with it.
+    The sides differ in biases, gains and lags as well, which says nothing of the moment: the turn alone
+    is compared, all else being that of the side before.  A large turn cannot be followed linearly;
+    there every stretch begins anew, so that what the wrong mounting did to the state ends with it.
     """
-    costs: list[Floats] = []
-    for fit in (before, after):
-        evidence = weigh(record, fit.R_va, (fit.speed_lag, fit.course_lag), noise, fit.p, HUBER, restart=True)
-        costs.append((evidence.misfit(fit.p) + evidence.log_det).sum(1))
-    gain = np.concatenate([[0.0], np.cumsum(costs[0] - costs[1])])
-    return float(record.fixes.t[0]) + int(np.argmin(gain)) * BLOCK
+    near = between(record, when - NEIGHBOURHOOD, when + NEIGHBOURHOOD)
+    turn = Rotation.from_matrix(after.R_va @ before.R_va.T).as_rotvec()
+    small = float(np.linalg.norm(turn)) < LINEAR
+    lags = (before.speed_lag, before.course_lag)
+
+    def cost(R_va: Floats, p: Floats) -> Floats:
+        evidence = weigh(near, R_va, lags, noise, before.p, HUBER, restart=not small)
+        return (evidence.misfit(p) + evidence.log_det).sum(1)
+
+    turned = before.p.copy()
+    turned[TURN] += turn
+    other = cost(before.R_va, turned) if small else cost(after.R_va, before.p)
+    gain = np.concatenate([[0.0], np.cumsum(cost(before.R_va, before.p) - other)])
+    return _at_a_pause(record, float(near.fixes.t[0]) + int(np.argmin(gain)) * BLOCK)
+
+
+def _at_a_pause(record: Record, when: float) -> float:
+    """The end of a pause between trips, where one is near enough for the evidence not to tell: s."""
+    t = record.fixes.t
+    pauses = np.flatnonzero(np.diff(t) > PAUSE)
+    ends = t[pauses + 1][(t[pauses] - NEAR_PAUSE < when) & (when < t[pauses + 1] + NEAR_PAUSE)]
+    return float(ends[0]) if ends.size else when

@@ -8,6 +8,7 @@ import numpy as np
 
 from nav_core.mounting.closed_form import Start
 from nav_core.mounting.confidence import CONVERGED, Confidence
+from nav_core.mounting.refine import BLOCK, Fit
 from nav_core.mounting.stretch import FOLLOW_SPEED, Record, gps_rate, unrolled
 from nav_core.records import MountingStatus, Reason
 from nav_core.typing import Floats
@@ -45,12 +46,28 @@ REASONS = {
     "rough": "The satellite data are poor or the ride is very rough; this takes longer.",
     "contradiction": "Parts of the drive disagree about how the box sits: check that it is fixed firmly.",
     "loose": "The box moves in its holder: fix it firmly.",
+    "wrong_unit": "The accelerometer sends {} instead of m/s²: correct its unit.",
+    "no_gravity": "The accelerometer sends acceleration without gravity: switch it to specific force.",
+    "dead_accelerometer": "The accelerometer sends nothing but zeros.",
+    "mirrored": "The accelerometer's sign is inverted, or one of its axes is: correct the sign in the box.",
+    "handedness_open": "Make two turns: the drive does not yet tell whether the accelerometer's signs are right.",
+    "handedness_trusted": "Without a bend, that the accelerometer's signs are right is taken on trust.",
+    "reversing": "{} s of reversing were left out.",
+    "gps_frozen": "The satellite receiver repeated old fixes for {} s; they were left out.",
+    "gps_late": "The satellite receiver is {} s late; this is accounted for.",
+    "slow_gps": "The satellite receiver gives {} fixes a second: enough, but it takes longer.",
+    "slow_accelerometer": "The accelerometer gives only {} samples a second: vibration blurs it, and it takes longer.",
+    "clock_jump": "The clock of the box jumped by {} s.",
+    "clock_torn": "The clock of the box jumped back; {} s around it were left out.",
+    "utc_jump": "The receiver's UTC jumped by {} s against the clock of the box.",
+    "aboard": "For {} min the vehicle was carried, by a ferry or a train; this was left out.",
+    "carried": "For a while the vehicle sat differently and came back: was it carried or towed?",
 }
 
 
-def reason(code: str) -> Reason:
-    """The reason of a code, with its sentence."""
-    return Reason(code, REASONS[code])
+def reason(code: str, value: str = "") -> Reason:
+    """The reason of a code, with its sentence and the value it speaks of."""
+    return Reason(code, REASONS[code].format(value))
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,6 +132,44 @@ def gravity_wander(record: Record, span: float = 20.0) -> float:
     return float(np.percentile(angles, 80.0))
 
 
+SWAY = np.radians([2.0, 6.0, 12.0])
+"""The mounting of a fixed box does not scatter by this from stretch to stretch, rad about V x, y, z.  Roll tells
+best; a real road's slope passes for 3° of pitch, and a stretch without turns and braking for any yaw."""
+
+_SWAY_SPAN = 30.0
+_SWAY_SURE = 3.0
+
+
+def sway(fit: Fit) -> Floats:
+    """How far the mounting itself scatters from stretch to stretch, beyond what each of them leaves open.
+
+    Parameters
+    ----------
+    fit : Fit
+
+    Returns
+    -------
+    ndarray, shape (3,)
+        1 sigma about the V axes, rad: the method of moments of DerSimonian and Laird (1986) over
+        stretches of half a minute, each moving one axis with all else held; 0 where the excess is
+        not clear.
+    """
+    count = max(int(fit.gram.shape[0] * BLOCK / _SWAY_SPAN), 2)
+    grams = np.array([part.sum(0) for part in np.array_split(fit.gram, count) if part.size])
+    pull = -(grams @ np.concatenate([[1.0], fit.p]))[:, 1:4]
+    weight = np.einsum("kii->ki", grams[:, 1:4, 1:4])
+    total = weight.sum(0)
+    weight = np.where(weight > 1e-2 * total, weight, 0.0)
+    total = np.maximum(weight.sum(0), 1e-12)
+    deviation = np.where(weight > 0.0, pull / np.maximum(weight, 1e-12), 0.0)
+    mean = (weight * deviation).sum(0) / total
+    excess = (weight * (deviation - mean) ** 2).sum(0)
+    degrees = np.maximum((weight > 0.0).sum(0) - 1, 1)
+    spread = np.maximum(total - (weight**2).sum(0) / total, 1e-12)
+    variance = np.maximum(excess - degrees, 0.0) / spread
+    return np.sqrt(np.where(excess > _SWAY_SURE * degrees, variance, 0.0))
+
+
 def loosely_held(changes: int, record: Record) -> bool:
     """Whether a box was moved so often that it is not fixed at all: thrice, and every few minutes."""
     return changes >= 3 and changes * 300.0 > record.fixes.t[-1] - record.fixes.t[0]
@@ -128,6 +183,15 @@ class Verdict:
     progress: float
     reliable: bool
     reasons: tuple[Reason, ...]
+
+    def held_back(self, code: str) -> Verdict:
+        """The same, but not `ready` because of one more reason."""
+        return Verdict("settling", min(self.progress, 0.99), self.reliable, (reason(code), *self.reasons))
+
+
+def refusal(why: Reason) -> Verdict:
+    """The verdict on data that cannot give a mounting."""
+    return Verdict("insufficient", 0.0, False, (why,))
 
 
 def before_fit(record: Record, offered: Excitation) -> Verdict | None:

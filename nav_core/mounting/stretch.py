@@ -16,6 +16,13 @@ FOLLOW_SPEED = 2.0
 """Course is used above this speed, m/s."""
 
 
+class Span(NamedTuple):
+    """Box times from..until, s."""
+
+    begin: float
+    end: float
+
+
 class Fixes(NamedTuple):
     """Usable fixes of a drive: repeats and crowding removed."""
 

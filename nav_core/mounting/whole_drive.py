@@ -11,6 +11,7 @@ from nav_core.mounting.confidence import assess
 from nav_core.mounting.model import COURSE_LAG, SPEED_LAG, Noise
 from nav_core.mounting.moved import Piece, pieces_of
 from nav_core.mounting.quality import (
+    SWAY,
     WANDER,
     Verdict,
     after_fit,
@@ -19,11 +20,14 @@ from nav_core.mounting.quality import (
     gravity_wander,
     loosely_held,
     reason,
+    refusal,
+    sway,
 )
 from nav_core.mounting.refine import Fit
 from nav_core.mounting.self_test import self_test
 from nav_core.mounting.stretch import Record, prepare, usable_fixes
-from nav_core.records import Gnss, MountingChange, MountingEstimate
+from nav_core.mounting.trouble import BENDS, HANDED, MIRRORED, TRUSTED_AFTER, came_back, handedness, inspect, late
+from nav_core.records import Gnss, MountingChange, MountingEstimate, Reason
 from nav_core.rotation import angle_between
 from nav_core.signal import Ticks
 
@@ -53,24 +57,39 @@ def estimate(ticks: Ticks, gnss: Gnss, *, noise: Noise | None = None) -> Mountin
     """
     noise = noise or Noise()
     fixes = usable_fixes(gnss)
+    trouble = inspect(ticks, gnss, fixes)
+    if trouble.refused is not None:
+        return _without(refusal(trouble.refused))
+    remarks = trouble.remarks
     found_blows = blows(ticks, fixes)
-    record = cut_out(prepare(ticks, fixes), found_blows)
+    record = cut_out(prepare(ticks, fixes), (*found_blows, *trouble.left_out))
     verdict = before_fit(record, excitation(record))
     if verdict is not None:
-        return _without(verdict)
+        return _without(verdict, remarks=remarks)
     pieces = pieces_of(record, noise)
     last = pieces[-1]
-    if loosely_held(len(pieces) - 1, record) or gravity_wander(last.record) > WANDER:
-        return _without(LOOSE)
+    bends = excitation(last.record).across > BENDS
+    handed = handedness(last.record, last.solution, noise) if bends else 0.0
+    if handed < -MIRRORED:
+        return _without(refusal(reason("mirrored")), remarks=remarks)
+    if loosely_held(len(pieces) - 1, record) or _loose(pieces):
+        return _without(LOOSE, remarks=remarks)
     changes = _changes(pieces, found_blows)
     offered = excitation(last.record)
     found = assess(last.solution.fit)
     verdict = before_fit(last.record, offered) or after_fit(last.solution.start, found, offered)
     if verdict.status in ("insufficient", "not_fixed"):
         unlike_a_car = any(each.code == "mismatch" for each in verdict.reasons)
-        return _without(LOOSE if changes and unlike_a_car else verdict, changes)
+        return _without(LOOSE if changes and unlike_a_car else verdict, changes, remarks)
+    trusted = not bends and offered.moving > TRUSTED_AFTER
+    if trusted:
+        remarks += (reason("handedness_trusted"),)
+    elif handed < HANDED:
+        verdict = verdict.held_back("handedness_open")
     fit = last.solution.fit
     speed_lag, course_lag = _known_lags(fit)
+    remarks += late(speed_lag, course_lag if bends else None)
+    remarks += came_back([piece.solution.fit.R_va for piece in pieces])
     before_moving = offered.first_moving - fit.begin
     return MountingEstimate(
         status=verdict.status,
@@ -86,8 +105,20 @@ def estimate(ticks: Ticks, gnss: Gnss, *, noise: Noise | None = None) -> Mountin
         speed_lag=speed_lag,
         course_lag=course_lag,
         changes=changes,
-        reasons=verdict.reasons,
+        reasons=(*verdict.reasons, *remarks),
     )
+
+
+def _loose(pieces: list[Piece]) -> bool:
+    """Whether the last piece is loose, or follows a loose one that was driven longer: that has yet to be outlived."""
+    if _sways(pieces[-1]):
+        return True
+    quiet = excitation(pieces[-1].record).moving
+    return any(_sways(piece) and excitation(piece.record).moving > quiet for piece in pieces[:-1])
+
+
+def _sways(piece: Piece) -> bool:
+    return gravity_wander(piece.record) > WANDER or bool((sway(piece.solution.fit) > SWAY).any())
 
 
 def _changes(pieces: list[Piece], spoiled: tuple[Blow, ...]) -> tuple[MountingChange, ...]:
@@ -95,6 +126,8 @@ def _changes(pieces: list[Piece], spoiled: tuple[Blow, ...]) -> tuple[MountingCh
         MountingChange(
             _turned_at(before.record, after.record, spoiled),
             angle_between(after.solution.fit.R_va, before.solution.fit.R_va),
+            before.solution.fit.R_va,
+            after.solution.fit.R_va,
         )
         for before, after in pairwise(pieces)
     )
@@ -116,12 +149,14 @@ def _known_lags(fit: Fit) -> tuple[float | None, float | None]:
     )
 
 
-def _without(verdict: Verdict, changes: tuple[MountingChange, ...] = ()) -> MountingEstimate:
+def _without(
+    verdict: Verdict, changes: tuple[MountingChange, ...] = (), remarks: tuple[Reason, ...] = ()
+) -> MountingEstimate:
     return MountingEstimate(
         status=verdict.status,
         method="whole-drive",
         progress=verdict.progress,
         reliable=verdict.reliable,
         changes=changes,
-        reasons=verdict.reasons,
+        reasons=(*verdict.reasons, *remarks),
     )

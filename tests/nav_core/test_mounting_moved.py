@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from nav_core.mounting import estimate_mounting
 from nav_core.rotation import angle_between
 from nav_core.simulate import Move, Scenario, simulate
+from nav_core.simulate.days import DECIMATED, Warmth, before_start, day
 
 MILLI_G = 9.80665e-3
 
@@ -40,6 +43,59 @@ def test_a_change_of_heading_alone_is_found():
     assert change.t == pytest.approx(140.0, abs=30.0)
     assert found.R_va is not None
     assert np.degrees(angle_between(found.R_va, truth.R_va)) < 4.0
+
+
+@pytest.mark.parametrize(
+    ("axis", "degrees", "after"),
+    [(0, 10.0, 300.0), (2, 10.0, 300.0), (0, 5.0, 300.0), (1, 5.0, 300.0), (2, 5.0, 900.0)],
+)
+@pytest.mark.parametrize("parked", [False, True], ids=["driving", "parked"])
+def test_small_turns_are_found_in_time(axis: int, degrees: float, after: float, parked: bool):
+    """The bars, one drive each; `make bench-moved` counts."""
+    seed = 100 * axis + int(degrees)
+    R_va = np.eye(3)[:, [1, 2, 0]]
+    turn = np.radians(degrees) * R_va.T[:, axis]
+    base = replace(DECIMATED, R_va=R_va, gnss_rate=4.0)
+    if parked:
+        made = day(
+            [replace(base, duration=600.0), replace(base, duration=after, moves=(before_start(turn),))], seed=seed
+        )
+    else:
+        move = Move(t=600.0, turn=tuple(turn))
+        made = day([replace(base, duration=600.0 + after, moves=(move,))], seed=seed)
+    moved_at, R_after = made.mountings[-1]
+    (change,) = estimate_mounting(made.drive).changes
+    assert np.degrees(change.angle) == pytest.approx(degrees, abs=2.0)
+    assert change.t == pytest.approx(moved_at, abs=45.0 if axis == 2 else 15.0)
+    assert change.before is not None
+    assert change.after is not None
+    assert np.degrees(angle_between(change.before, R_va)) < 4.0
+    assert np.degrees(angle_between(change.after, R_after)) < 4.0
+    assert angle_between(change.before, change.after) == pytest.approx(change.angle)
+
+
+def test_days_in_heat_and_cold_raise_no_alarm():
+    """Trips between which the bias steps by twice what is usual, on changing roads."""
+    warmth = Warmth(parked=24.0, warming=25.0)
+    for seed, routes in enumerate(
+        (("urban", "highway"), ("gentle", "urban"), ("highway", "gentle"), ("urban", "urban"))
+    ):
+        trips = [replace(DECIMATED, route=route, duration=900.0, accel_bias=30.0 * MILLI_G) for route in routes]
+        assert estimate_mounting(day(trips, seed=seed, warmth=warmth).drive).changes == ()
+
+
+def test_a_day_is_what_its_trips_are():
+    turn = np.array([0.3, 0.0, 0.0])
+    trips = [
+        replace(DECIMATED, duration=60.0, R_va=np.eye(3)),
+        replace(DECIMATED, duration=60.0, moves=(before_start(turn),)),
+    ]
+    made = day(trips, seed=1, pause=100.0)
+    assert [since for since, _ in made.mountings] == [0.0, 160.0]
+    assert angle_between(made.mountings[0][1], made.mountings[1][1]) == pytest.approx(0.3)
+    gap = np.diff(made.drive.inertial.t).max()
+    assert gap == pytest.approx(100.0, abs=0.1)
+    assert abs(np.median(made.drive.inertial.f[:1200, 2]) + 9.8) < 0.5
 
 
 def test_two_moves():

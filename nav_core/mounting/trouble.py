@@ -1,0 +1,365 @@
+"""Trouble with boxes and receivers: found by evidence, named, and left out or refused.
+
+Nothing is repaired in silence.  What spoils a stretch of the recording is left out of the estimate
+and named; what spoils all of it is refused with the reason.
+
+A box that logs minus specific force and a box with left-handed axes are one and the same trouble:
+``-I`` is a mirror times half a turn, and half a turn is just another way to mount the box.  Two
+wrong signs are no trouble at all.  So the question to the drive is one of handedness: does the force
+across the travel point into the bend, or out of it?
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from nav_core.mounting.closed_form import start
+from nav_core.mounting.model import GRAVITY, Noise
+from nav_core.mounting.quality import excitation, fits_a_car, reason
+from nav_core.mounting.refine import HUBER, Fit, refine, weigh
+from nav_core.mounting.reversing import distances, reversals
+from nav_core.mounting.solution import EXCERPT, Solution, excerpt
+from nav_core.mounting.stretch import Fixes, Record, Span
+from nav_core.records import Gnss, Reason
+from nav_core.rotation import angle_between
+from nav_core.signal import KERNEL_TICKS, Ticks
+from nav_core.timebase import stale
+from nav_core.typing import Flags, Floats
+
+UNITS = {"g": 1.0, "percent of g": 100.0, "thousandths of g": 1000.0}
+"""Gravity in other units."""
+
+UNIT_SHARE = 0.15
+"""By how much of it gravity may be off, bias and scale of a bad accelerometer included."""
+
+FLICKER = 0.35
+"""Without gravity the magnitude of what is left varies by this share of its median."""
+
+SLOW_FIXES = 1.3
+SLOW_SAMPLES = 15.0
+"""Hz; up to here named as slow."""
+
+LATE = 0.8
+"""A receiver later than this is named, s."""
+
+SAME = np.radians(3.0)
+"""Mountings that differ by less are the same, rad."""
+
+FROZEN = 3.0
+"""Repeated fixes that last this long are named, s."""
+
+JUMP = 1.0
+"""Least jump between two clocks, s."""
+
+AROUND_JUMP = 5.0
+"""Left out around a jump back of the box clock, s."""
+
+STANDING = 0.3
+TRAVELLING = 6.0
+"""m/s."""
+
+LEAST_AT_REST = 15.0
+LEAST_ABOARD = 90.0
+"""s."""
+
+QUIET = 1.15
+"""Vibration aboard is less than this many times that at a stand."""
+
+TRUSTED_AFTER = 180.0
+"""So long a drive without a bend is a straight road, s."""
+
+BENDS = 3.0
+"""Handedness shows in bends: with less noticeable acceleration across the travel it is taken on trust, s."""
+
+HANDED = 10.0
+"""Twice the log of likelihoods: `ready` needs this much in favour of right-handed axes."""
+
+MIRRORED = 20.0
+"""And this much against them refuses the box."""
+
+CLEAR = 100.0
+"""The closed form alone decides beyond this."""
+
+
+@dataclass(frozen=True, slots=True)
+class Trouble:
+    """What is wrong with a recording.
+
+    Attributes
+    ----------
+    refused : Reason or None
+        Why there can be no mounting.
+    remarks : tuple of Reason
+        What was found and dealt with.
+    left_out : tuple of Span
+        Stretches that must not be used.
+    """
+
+    refused: Reason | None = None
+    remarks: tuple[Reason, ...] = ()
+    left_out: tuple[Span, ...] = ()
+
+
+def inspect(ticks: Ticks, gnss: Gnss, fixes: Fixes) -> Trouble:
+    """Look over a recording before anything is estimated.
+
+    Parameters
+    ----------
+    ticks : Ticks
+    gnss : Gnss
+    fixes : Fixes
+        The usable ones of `gnss`.
+
+    Returns
+    -------
+    Trouble
+    """
+    refused = wrong_unit(ticks)
+    if refused is not None:
+        return Trouble(refused)
+    remarks: list[Reason] = []
+    torn, jumps = clock_jumps(gnss)
+    remarks += jumps
+    backwards = reversals(gnss)
+    if backwards:
+        remarks.append(reason("reversing", f"{sum(span.end - span.begin for span in backwards):.0f}"))
+    for remark in (frozen(gnss), slow_fixes(gnss), slow_samples(ticks)):
+        if remark is not None:
+            remarks.append(remark)
+    aboard = unshaken(ticks, fixes)
+    if aboard:
+        remarks.append(reason("aboard", f"{sum(span.end - span.begin for span in aboard) / 60.0:.0f}"))
+    return Trouble(None, tuple(remarks), tuple(sorted((*torn, *backwards, *aboard))))
+
+
+def wrong_unit(ticks: Ticks) -> Reason | None:
+    """What the accelerometer sends instead of specific force in m/s², by the magnitude of gravity.
+
+    Parameters
+    ----------
+    ticks : Ticks
+
+    Returns
+    -------
+    Reason or None
+        ``wrong_unit``, ``no_gravity`` or ``dead_accelerometer``; None when gravity is where it should be.
+    """
+    valid = ticks.valid
+    if valid.sum() < 20:
+        return None
+    size = np.linalg.norm(ticks.f[valid], axis=1)
+    middle = float(np.median(size))
+    if middle == 0.0:
+        return reason("dead_accelerometer")
+    if abs(middle / GRAVITY - 1.0) < UNIT_SHARE:
+        return None
+    flicker = float(np.median(np.abs(size - middle))) / middle
+    for name, gravity in UNITS.items():
+        if abs(middle / gravity - 1.0) < UNIT_SHARE and flicker < FLICKER:
+            return reason("wrong_unit", name)
+    if middle < 0.5 * GRAVITY and flicker > 0.5 * FLICKER:
+        return reason("no_gravity")
+    return reason("wrong_unit", f"numbers {middle / GRAVITY:.3g} times too large")
+
+
+def unshaken(ticks: Ticks, fixes: Fixes) -> tuple[Span, ...]:
+    """Stretches in which the vehicle travels and its box feels no more vibration than at a stand.
+
+    Wheels on a road shake a box; a ferry or a train carries a vehicle as quietly as it stands.
+
+    Parameters
+    ----------
+    ticks : Ticks
+    fixes : Fixes
+
+    Returns
+    -------
+    tuple of Span
+        None where the vehicle never stood: then nothing says how quiet it can be.
+    """
+    valid = ticks.valid
+    if fixes.t.size < 2 or not valid.any():
+        return ()
+    t, shaking = ticks.t[valid], ticks.scatter[valid]
+    speed = np.interp(t, fixes.t, fixes.speed)
+    at_rest = shaking[speed < STANDING]
+    if at_rest.size < LEAST_AT_REST * ticks.rate:
+        return ()
+    quiet = QUIET * float(np.median(at_rest))
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], (speed > TRAVELLING).astype(np.int8), [0]])))
+    spans: list[Span] = []
+    for first, after in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+        if t[after - 1] - t[first] > LEAST_ABOARD and float(np.median(shaking[first:after])) < quiet:
+            spans.append(Span(float(t[first]) - AROUND_JUMP, float(t[after - 1]) + AROUND_JUMP))
+    return tuple(spans)
+
+
+def sampling_rate(ticks: Ticks) -> float:
+    """Samples per second of the accelerometer, from the weight of the ticks; 0 without any."""
+    if ticks.weight.size == 0:
+        return 0.0
+    return float(np.median(ticks.weight)) * ticks.rate / (0.5 * KERNEL_TICKS)
+
+
+def slow_samples(ticks: Ticks) -> Reason | None:
+    """Whether the accelerometer is slow."""
+    rate = sampling_rate(ticks)
+    return reason("slow_accelerometer", f"{rate:.0f}") if 0.0 < rate < SLOW_SAMPLES else None
+
+
+def slow_fixes(gnss: Gnss) -> Reason | None:
+    """Whether the receiver is slow."""
+    t = gnss.t[gnss.fix & ~stale(gnss)]
+    if t.size < 10:
+        return None
+    rate = 1.0 / float(np.median(np.diff(t)))
+    return reason("slow_gps", f"{rate:.2g}") if rate < SLOW_FIXES else None
+
+
+def frozen(gnss: Gnss) -> Reason | None:
+    """Whether the receiver repeated old fixes for long."""
+    repeated = stale(gnss)
+    if not repeated.any():
+        return None
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], repeated.astype(np.int8), [0]])))
+    begin, end = gnss.t[np.maximum(edges[::2] - 1, 0)], gnss.t[edges[1::2] - 1]
+    long = end - begin >= FROZEN
+    return reason("gps_frozen", f"{float((end - begin)[long].sum()):.0f}") if long.any() else None
+
+
+def late(speed_lag: float | None, course_lag: float | None) -> tuple[Reason, ...]:
+    """Whether the receiver is late, from lags that are known, s."""
+    worst = max(speed_lag or 0.0, course_lag or 0.0)
+    return (reason("gps_late", f"{worst:.1f}"),) if worst > LATE else ()
+
+
+def came_back(mountings: list[Floats]) -> tuple[Reason, ...]:
+    """Whether the last of the mountings of a drive is one that it had before, with another in between."""
+    return (reason("carried"),) if any(angle_between(R, mountings[-1]) < SAME for R in mountings[:-2]) else ()
+
+
+def clock_jumps(gnss: Gnss) -> tuple[tuple[Span, ...], list[Reason]]:
+    """Jumps of the box clock and of UTC.
+
+    Parameters
+    ----------
+    gnss : Gnss
+
+    Returns
+    -------
+    torn : tuple of Span
+        Where two times lie on top of each other, or next to each other, because the box clock jumped back.
+    remarks : list of Reason
+        ``clock_jump``, ``utc_jump``.
+    """
+    good = gnss.fix & np.isfinite(gnss.lat) & np.isfinite(gnss.lon) & np.isfinite(gnss.speed)
+    # Not `stale`: it takes a fix that is older than the one before for a repeated one.
+    good[1:] &= (np.diff(gnss.lat) != 0.0) | (np.diff(gnss.lon) != 0.0) | (np.diff(gnss.speed) != 0.0)
+    t = gnss.t[good]
+    if t.size < 10:
+        return (), []
+    offset = np.full(t.size, np.nan) if gnss.utc is None else gnss.utc[good] - t
+    torn = np.concatenate([[False], _beyond_reach(gnss, good)])
+    back = torn | np.concatenate([[False], np.diff(offset) + np.diff(t) < -JUMP])
+    spans = _clusters(t[back])
+    remarks: list[Reason] = []
+    for place, jump in _lasting(t, offset, spans):
+        hole = float(t[place + 1] - t[place])
+        if jump < 0.0 and abs(hole + jump) < max(0.5 * abs(jump), JUMP):
+            remarks.append(reason("clock_jump", f"{-jump:+.0f}"))  # the hole says it: the box's clock went on
+        elif torn[place + 1]:
+            spans = (*spans, Span(float(t[place]) - AROUND_JUMP, float(t[place + 1]) + AROUND_JUMP))
+        else:
+            remarks.append(reason("utc_jump", f"{jump:+.0f}"))
+    if spans:
+        remarks.insert(0, reason("clock_torn", f"{sum(span.end - span.begin for span in spans):.0f}"))
+    return spans, remarks
+
+
+def _beyond_reach(gnss: Gnss, good: Flags) -> Flags:
+    """Steps from fix to fix that are farther than any vehicle gets, shape (n - 1,)."""
+    speed = gnss.speed[good]
+    way = distances(gnss.lat[good], gnss.lon[good])
+    return way > (np.maximum(speed[1:], speed[:-1]) + 5.0) * np.diff(gnss.t[good]) + 25.0
+
+
+def _clusters(t: Floats, least: int = 3) -> tuple[Span, ...]:
+    """Spans in which events follow each other closely, at least so many."""
+    if t.size < least:
+        return ()
+    groups = np.split(t, np.flatnonzero(np.diff(t) > AROUND_JUMP) + 1)
+    return tuple(Span(float(g[0]) - AROUND_JUMP, float(g[-1]) + AROUND_JUMP) for g in groups if g.size >= least)
+
+
+def _lasting(t: Floats, offset: Floats, spans: tuple[Span, ...], reach: int = 4) -> list[tuple[int, float]]:
+    """Steps after which UTC and box clock stay apart otherwise than before: index and jump, s."""
+    usable = np.flatnonzero(np.isfinite(offset) & ~_inside(t, spans))
+    if usable.size < 2 * reach:
+        return []
+    windows = np.median(np.lib.stride_tricks.sliding_window_view(offset[usable], reach), axis=1)
+    change = windows[reach:] - windows[:-reach]
+    found: list[tuple[int, float]] = []
+    i = 0
+    while i < change.size:
+        if abs(change[i]) <= JUMP:
+            i += 1
+            continue
+        near = np.diff(offset[usable])[i : i + 2 * reach - 1]
+        place = usable[i + int(np.argmax(np.abs(near)))]
+        found.append((int(place), float(near[np.argmax(np.abs(near))])))
+        i += 2 * reach
+    return [(place, jump) for place, jump in found if not _inside(t[place + 1 : place + 2], spans).any()]
+
+
+def _inside(t: Floats, spans: tuple[Span, ...]) -> Flags:
+    out = np.zeros(t.size, dtype=np.bool_)
+    for span in spans:
+        out |= (t >= span.begin) & (t <= span.end)
+    return out
+
+
+def handedness(record: Record, solution: Solution, noise: Noise) -> float:
+    """Evidence for right-handed axes.
+
+    Parameters
+    ----------
+    record : Record
+    solution : Solution
+        Of the record.
+    noise : Noise
+        Least noise levels.
+
+    Returns
+    -------
+    float
+        Twice the log of the likelihood of the drive with right-handed axes over that with
+        left-handed ones, each at its own best mounting.  What is far beyond `CLEAR` is the closed
+        form's; negative only where the left-handed fit looks like a car.
+    """
+    if solution.start.handed > CLEAR:
+        return solution.start.handed
+    part = excerpt(record, EXCERPT)
+    other = part._replace(f=-part.f)
+    mirrored = start(other, noise)
+    if solution.start.handed < -CLEAR and fits_a_car(mirrored, excitation(part)):
+        return solution.start.handed
+    suited = solution.fit.noise
+    own = solution.start._replace(
+        R_va=solution.fit.R_va, speed_lag=solution.fit.speed_lag, course_lag=solution.fit.course_lag
+    )
+    # Both are followed by the same filter with the same noise, from where they came to rest.
+    right = _cost(part, refine(part, own, suited, solution.fit.p), suited)
+    rough = refine(other, mirrored, noise)
+    place = mirrored._replace(R_va=rough.R_va, speed_lag=rough.speed_lag, course_lag=rough.course_lag)
+    left = _cost(other, refine(other, place, suited, rough.p), suited)
+    evidence = left - right
+    return evidence if fits_a_car(mirrored, excitation(part)) else max(evidence, 0.0)
+
+
+def _cost(record: Record, fit: Fit, noise: Noise) -> float:
+    """Minus twice the log likelihood of a record at a fit, up to a constant."""
+    evidence = weigh(record, fit.R_va, (fit.speed_lag, fit.course_lag), noise, fit.p, HUBER)
+    known = float(fit.p @ (fit.prior * fit.p - 2.0 * fit.prior_pull))
+    return float((evidence.misfit(fit.p) + evidence.log_det).sum()) + known

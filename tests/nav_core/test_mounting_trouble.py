@@ -1,0 +1,284 @@
+"""Boxes, receivers and vehicles that are in trouble: named, and handled or refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from nav_core.mounting import estimate_mounting
+from nav_core.mounting.reversing import reversals
+from nav_core.mounting.trouble import clock_jumps, frozen, sampling_rate
+from nav_core.records import Drive, Gnss, Inertial, MountingEstimate
+from nav_core.rotation import angle_between
+from nav_core.signal import decimate
+from nav_core.simulate import Move, Scenario, Truth, simulate
+from nav_core.simulate import faults as fault
+from nav_core.simulate.days import DECIMATED, day
+
+G = 9.80665
+INVERTED = -np.eye(3)
+LEFT_HANDED = np.diag([1.0, -1.0, 1.0])
+ROUTES = (("urban", 300.0), ("gentle", 300.0), ("highway", 600.0), ("roundabout", 120.0))
+
+
+def _drive(route: str = "urban", duration: float = 300.0, seed: int = 1, **more: object) -> tuple[Drive, Truth]:
+    return simulate(Scenario(**{"route": route, "duration": duration, "accel_rate": 50.0, **more}), seed=seed)  # type: ignore[arg-type]
+
+
+def _codes(found: MountingEstimate) -> set[str]:
+    assert all(reason.text for reason in found.reasons)
+    return {reason.code for reason in found.reasons}
+
+
+def _error_deg(found: MountingEstimate, R_va: np.ndarray) -> float:
+    assert found.R_va is not None
+    return float(np.degrees(angle_between(found.R_va, R_va)))
+
+
+def _standing(truth: Truth, begin: float = 40.0) -> float:
+    """Middle of the first stand after `begin`, s."""
+    still = (np.abs(truth.v) < 0.01) & (truth.t > begin)
+    first = int(np.argmax(still))
+    assert still[first]
+    moving_again = first + int(np.argmin(still[first:]))
+    return float(0.5 * (truth.t[first] + truth.t[moving_again]))
+
+
+# What the accelerometer sends.
+
+
+@pytest.mark.parametrize(("factor", "named"), [(1.0, " g "), (100.0, "percent"), (1e3, "thousandths"), (16384.0, "16")])
+@pytest.mark.parametrize("route", ["urban", "highway"])
+def test_a_wrong_unit_is_refused_by_name(route: str, factor: float, named: str):
+    drive, _ = _drive(route, 120.0)
+    found = estimate_mounting(fault.logged_as(drive, factor / G * np.eye(3)))
+    assert found.status == "insufficient"
+    (reason,) = found.reasons
+    assert reason.code == "wrong_unit"
+    assert named in reason.text
+
+
+def test_acceleration_without_gravity_and_zeros_are_refused_by_name():
+    drive, truth = _drive(duration=120.0)
+    without = replace(drive.inertial, f=drive.inertial.f - np.array([0.0, 0.0, -G]) @ truth.R_va)
+    assert _codes(estimate_mounting(replace(drive, inertial=without))) == {"no_gravity"}
+    assert _codes(estimate_mounting(fault.logged_as(drive, np.zeros((3, 3))))) == {"dead_accelerometer"}
+
+
+@pytest.mark.parametrize(("route", "duration"), ROUTES)
+@pytest.mark.parametrize("M", [INVERTED, LEFT_HANDED], ids=["inverted", "left-handed"])
+def test_an_improper_triad_is_refused_by_name(route: str, duration: float, M: np.ndarray):
+    for seed in range(40, 43):
+        drive, _ = _drive(route, duration, seed, gnss_rate=(1.0, 4.0, 10.0)[seed % 3])
+        found = estimate_mounting(fault.logged_as(drive, M))
+        assert found.status == "insufficient"
+        assert "mirrored" in _codes(found)
+        assert found.R_va is None
+
+
+def test_two_wrong_signs_are_just_another_mounting():
+    drive, truth = _drive(seed=44)
+    M = np.diag([-1.0, -1.0, 1.0])
+    found = estimate_mounting(fault.logged_as(drive, M))
+    assert found.status == "ready"
+    assert found.reasons == ()
+    assert _error_deg(found, truth.R_va @ M.T) < 3.0
+
+
+def test_a_minute_never_makes_an_inverted_box_ready():
+    """However few bends a minute has."""
+    for seed in range(60, 80):
+        route = ("urban", "straight", "gentle", "highway")[seed % 4]
+        drive, _ = _drive(route, 60.0, seed)
+        assert estimate_mounting(fault.logged_as(drive, INVERTED)).status != "ready"
+
+
+def test_on_a_straight_road_the_signs_are_taken_on_trust_and_that_is_said():
+    drive, truth = _drive("straight", 300.0, seed=5)
+    found = estimate_mounting(drive)
+    assert found.status == "ready"
+    assert _codes(found) == {"handedness_trusted"}
+    assert _error_deg(found, truth.R_va) < 4.0
+
+
+# How the box is fixed.
+
+
+@pytest.mark.parametrize("route", ["urban", "gentle", "straight"])
+@pytest.mark.parametrize(
+    "loosen",
+    [
+        lambda drive, seed: fault.swaying(drive, np.radians(5.0), 2.0, seed),
+        lambda drive, seed: fault.swaying(drive, np.radians(10.0), 20.0, seed),
+        lambda drive, seed: fault.swaying(drive, np.radians(4.0), 60.0, seed),
+        lambda drive, seed: fault.slipping(drive, np.radians(1.0), seed),
+        lambda drive, seed: fault.tumbling(drive, 15.0, np.radians(15.0), seed),
+        lambda drive, seed: fault.tumbling(drive, 40.0, np.radians(30.0), seed),
+    ],
+    ids=["rattles", "sways", "swings slowly", "slips", "is thrown 15°", "is thrown 30°"],
+)
+def test_a_loose_box_is_never_ready(route: str, loosen: object):
+    for seed in (50, 51):
+        drive, _ = _drive(route, 300.0, seed)
+        found = estimate_mounting(loosen(drive, seed))  # type: ignore[operator]
+        assert found.status != "ready"
+        assert found.reasons
+
+
+# The receiver and the clocks.
+
+
+@pytest.mark.parametrize("gnss_rate", [1.0, 4.0])
+def test_a_frozen_receiver_is_named_and_costs_little(gnss_rate: float):
+    for seed in (20, 21):
+        drive, truth = _drive(seed=seed, gnss_rate=gnss_rate, frozen=((60.0, 75.0), (150.0, 180.0)))
+        found = estimate_mounting(drive)
+        assert found.status == "ready"
+        assert "gps_frozen" in _codes(found)
+        assert "utc_jump" not in _codes(found)
+        assert _error_deg(found, truth.R_va) < 4.0
+
+
+def test_without_utc_a_frozen_receiver_is_seen_by_its_content():
+    drive, truth = _drive(seed=20, frozen=((150.0, 180.0),))
+    found = estimate_mounting(replace(drive, gnss=replace(drive.gnss, utc=None)))
+    assert _error_deg(found, truth.R_va) < 4.0
+
+
+@pytest.mark.parametrize(("speed_lag", "course_lag"), [(2.0, 2.0), (1.8, 0.9), (1.5, 0.3)])
+def test_a_late_receiver_is_named_and_costs_little(speed_lag: float, course_lag: float):
+    for route, duration in (("urban", 300.0), ("highway", 600.0)):
+        drive, truth = _drive(route, duration, 22, speed_lag=speed_lag, course_lag=course_lag)
+        found = estimate_mounting(drive)
+        assert found.status == "ready"
+        assert "gps_late" in _codes(found)
+        assert _error_deg(found, truth.R_va) < 4.0
+
+
+def test_slow_streams_are_named():
+    for rates, code in (({"gnss_rate": 1.0}, "slow_gps"), ({"accel_rate": 10.0}, "slow_accelerometer")):
+        drive, truth = _drive(seed=23, **rates)
+        found = estimate_mounting(drive)
+        assert found.status == "ready"
+        assert _codes(found) == {code}
+        assert _error_deg(found, truth.R_va) < 4.0
+
+
+@pytest.mark.parametrize("rate", [10.0, 50.0, 200.0])
+def test_the_ticks_know_the_sampling_rate(rate: float):
+    drive, _ = _drive(duration=30.0, accel_rate=rate)
+    assert sampling_rate(decimate(drive.inertial)) == pytest.approx(rate, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("by", "code"), [(30.0, "clock_jump"), (2.0, "clock_jump"), (-20.1, "clock_torn"), (-20.0, "clock_torn")]
+)
+def test_a_box_clock_that_jumps_is_named_and_costs_little(by: float, code: str):
+    for route, duration, seed in (("urban", 300.0, 3100), ("urban", 300.0, 3101), ("highway", 600.0, 3100)):
+        drive, truth = _drive(route, duration, seed)
+        found = estimate_mounting(fault.clock_jumped(drive, 150.0, by))
+        assert code in _codes(found)
+        assert found.status == "ready"
+        assert _error_deg(found, truth.R_va) < 4.0
+
+
+@pytest.mark.parametrize("by", [3600.0, -18.0])
+def test_utc_that_jumps_is_named_and_costs_nothing(by: float):
+    drive, truth = _drive(seed=24)
+    plain, jumped = estimate_mounting(drive), estimate_mounting(fault.utc_jumped(drive, 150.0, by))
+    assert _codes(jumped) == {"utc_jump"}
+    assert jumped.status == plain.status
+    assert plain.R_va is not None
+    assert _error_deg(jumped, plain.R_va) < 0.1
+    assert _error_deg(jumped, truth.R_va) < 4.0
+
+
+def test_utc_in_whole_seconds_or_none_at_all_loses_no_fixes():
+    drive, truth = _drive(seed=24)
+    assert drive.gnss.utc is not None
+    for utc in (np.floor(drive.gnss.utc), np.zeros(drive.gnss.t.size)):
+        found = estimate_mounting(replace(drive, gnss=replace(drive.gnss, utc=utc)))
+        assert found.status == "ready"
+        assert "gps_frozen" not in _codes(found)
+        assert _error_deg(found, truth.R_va) < 4.0
+
+
+def test_an_ordinary_drive_is_in_no_trouble():
+    for route, duration in ROUTES:
+        drive, _ = _drive(route, duration, 30, clock_drift=4e-5)
+        assert clock_jumps(drive.gnss) == ((), [])
+        assert reversals(drive.gnss) == ()
+        assert frozen(drive.gnss) is None
+        assert estimate_mounting(drive).reasons == ()
+
+
+# Where the vehicle goes.
+
+
+@pytest.mark.parametrize("times", [1, 4])
+def test_reversing_is_named_and_left_out(times: int):
+    for seed in (25, 26, 27):
+        drive, truth = _drive(seed=seed)
+        at = _standing(truth)
+        backed = drive
+        for k in range(times):
+            backed = fault.backing_up(backed, truth.R_va, at, seed=seed + k, pace=4.0, lasting=20.0)
+        spans = reversals(backed.gnss)
+        assert len(spans) >= 1
+        assert all(at - 12.0 < span.begin and span.end < at + 30.0 * times + 25.0 for span in spans)
+        found = estimate_mounting(backed)
+        assert found.status == "ready"
+        assert _codes(found) == {"reversing"}
+        assert _error_deg(found, truth.R_va) < 4.0
+
+
+@pytest.mark.parametrize("sea", [0.0, 0.3, 1.0, 2.0])
+def test_a_ferry_is_never_ready(sea: float):
+    for seed, duration in ((1, 300.0), (2, 900.0), (3, 2400.0)):
+        found = estimate_mounting(fault.sailing(duration, seed, sea=sea))
+        assert found.status != "ready"
+        assert found.reasons
+
+
+def _then(first: Drive, second: Drive) -> Drive:
+    """One recording after the other, half a minute later."""
+    later = float(np.ceil(first.inertial.t[-1])) + 30.0
+    inertial = Inertial(
+        t=np.concatenate([first.inertial.t, second.inertial.t + later]),
+        f=np.concatenate([first.inertial.f, second.inertial.f]),
+    )
+    a, b = first.gnss, second.gnss
+    names = ("lat", "lon", "alt", "speed", "course", "fix")
+    columns = {name: np.concatenate([getattr(a, name), getattr(b, name)]) for name in names}
+    return Drive(inertial, Gnss(t=np.concatenate([a.t, b.t + later]), **columns))
+
+
+@pytest.mark.parametrize("sea", [0.0, 0.5])
+def test_a_crossing_between_two_drives_is_named_and_left_out(sea: float):
+    for seed in (61, 63):
+        first, truth = _drive(seed=seed)
+        aboard = fault.sailing(600.0, seed, sea=sea)
+        second, _ = _drive(seed=seed + 100, R_va=truth.R_va)
+        found = estimate_mounting(_then(_then(first, aboard), second))
+        assert found.status == "ready"
+        assert "aboard" in _codes(found)
+        assert _error_deg(found, truth.R_va) < 4.0
+
+
+def test_a_vehicle_on_a_tow_truck_is_named_when_it_is_back_on_its_wheels():
+    """Nose up 9° on the bed of the truck, which drives like any car."""
+    base = replace(DECIMATED, duration=400.0)
+    up = (0.0, np.radians(9.0), 0.0)
+    whole = [
+        base,
+        replace(base, moves=(Move(t=-1.0, turn=up),)),
+        replace(base, moves=(Move(t=-1.0, turn=(0.0, -up[1], 0.0)),)),
+    ]
+    for seed in (1, 2):
+        made = day(whole, seed=seed)
+        found = estimate_mounting(made.drive)
+        assert [np.degrees(change.angle) for change in found.changes] == pytest.approx([9.0, 9.0], abs=1.5)
+        assert "carried" in _codes(found)
+        assert _error_deg(found, made.mountings[-1][1]) < 4.0
