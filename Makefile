@@ -5,7 +5,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 PYTEST_WORKERS ?= 2
 
-.PHONY: help setup run test check bench vendor lock clean
+.PHONY: help setup run test check bench coverage vendor lock clean
 .DEFAULT_GOAL := help
 
 help:  ## This list
@@ -30,6 +30,18 @@ check: setup node_modules/ready  ## Lint, types, architecture, JavaScript, migra
 
 bench: setup  ## Speed of the numerics and of the ingest path; WRITE=docs/performance.md keeps the tables
 	$(BIN)/python benchmarks/run.py $(if $(WRITE),--write $(WRITE))
+
+# Kernels show their lines to no tracer once compiled: the tests that compare them with plain code run again without.
+KERNELS := agree or matrices or kernel or one_by_one or filterpy or digits or slip or double_sum or gate or rest \
+  or wander or plain or order or printed or decimat or far or walking
+COVER := $(BIN)/python -m pytest tests/nav_core -n $(PYTEST_WORKERS) -m "not slow" --cov=nav_core --cov-config=/dev/null \
+  --cov-report=
+
+coverage: setup  ## Lines of nav_core that its tests reach, at least 97 %; slow tests left out
+	COVERAGE_FILE=.coverage.compiled $(COVER)
+	NUMBA_DISABLE_JIT=1 COVERAGE_FILE=.coverage.plain $(COVER) -k "$(KERNELS)"
+	$(BIN)/coverage combine --rcfile=/dev/null .coverage.compiled .coverage.plain
+	$(BIN)/coverage report --rcfile=/dev/null --skip-covered --show-missing --fail-under=97
 
 vendor: node_modules/ready  ## Copy the pinned front-end libraries into web/vendor
 	node scripts/vendor.mjs
