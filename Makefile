@@ -32,8 +32,8 @@ bench: setup  ## Speed of the numerics and of the ingest path; WRITE=docs/perfor
 	$(BIN)/python benchmarks/run.py $(if $(WRITE),--write $(WRITE))
 
 # Kernels show their lines to no tracer once compiled: the tests that compare them with plain code run again without.
-KERNELS := agree or matrices or kernel or one_by_one or filterpy or digits or slip or double_sum or gate or rest \
-  or wander or plain or order or printed or decimat or far or walking
+KERNELS := agree or compiled or matrices or kernel or plain or one_by_one or filterpy or digits or double_sum or whole_record \
+  or order_of_the_rule or halves or rest_stays or left_out or straight
 COVER := $(BIN)/python -m pytest tests/nav_core -n $(PYTEST_WORKERS) -m "not slow" --cov=nav_core --cov-config=/dev/null \
   --cov-report=
 
