@@ -7,6 +7,7 @@ import json
 import math
 from typing import TYPE_CHECKING, Any
 
+from server.cli.progress import progress
 from server.settings import set_numba_cache_dir
 
 if TYPE_CHECKING:
@@ -27,6 +28,7 @@ def align(args: argparse.Namespace) -> int:
     from nav_core.alignment import align as run
     from server.formats.drive import read_drive_file
 
+    progress("reading")
     drive = read_drive_file(args.file)
     place, field = surroundings(drive, args.lat, args.lon, args.height, args.year)
     trust = Trust(
@@ -35,7 +37,9 @@ def align(args: argparse.Namespace) -> int:
         magnetometer=args.field_sigma_ut,
         heading=math.radians(args.heading_limit_deg),
     )
+    progress(f"looking for rest in {drive.inertial.t.size} samples")
     found = run(drive.inertial, place=place, field=field, trust=trust)
+    progress("")
     if args.plot is not None:
         draw(args.plot, drive.inertial, found)
     result = align_json(found)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from nav_core import alignment, kalman
-from nav_core.earth import RATE, earth_rate
+from nav_core.earth import RATE, MagneticField, earth_rate
 from nav_core.errors import RangeError, ShapeError, TooLittleDataError
 from nav_core.records import Inertial
 from nav_core.rotation import angle_between, error_between, euler_to_matrix, matrix_to_euler
@@ -108,7 +108,7 @@ def test_exact_sensors_give_the_attitude(seed, lat):
     R_ta = turned(seed)
     found = compass(R_ta, lat=lat)
     assert found.status == "observable"
-    assert found.attitude is not None
+    assert found.best is not None
     assert angle_between(found.attitude.R_ta, R_ta) < 1e-6
 
 
@@ -125,7 +125,7 @@ def test_the_direct_cosines_of_the_lecture(seed):
     C[1, 1] = C[0, 0] * C[2, 2] - C[0, 2] * C[2, 0]
     C[2, 1] = C[0, 2] * C[1, 0] - C[0, 0] * C[1, 2]
     found = compass(R_ta)
-    assert found.attitude is not None
+    assert found.best is not None
     assert found.attitude.R_ta == pytest.approx(C.T, abs=1e-8)
 
 
@@ -153,7 +153,7 @@ def test_the_stated_heading_error_is_the_one_of_many_runs():
             limit=1.0,
             **grade,
         )
-        if found.attitude is not None:
+        if found.best is not None:
             error = error_between(found.attitude.R_ta, R_ta)
             squares.append(kalman.normalised(error, found.attitude.covariance))
             yaws.append(error[2])
@@ -435,6 +435,39 @@ def test_a_gyro_that_missed_samples_is_averaged_over_the_others():
     assert found.compass.status == "unobservable"
     assert found.rest is not None
     assert found.rest.w_noise == pytest.approx(1e-3 / np.sqrt(450.0), rel=0.4)
+
+
+def magnetic(field, heading=0.7, *, iron=0.0):
+    """A level box heading `heading`, its magnetometer beside iron that adds `iron` µT along x."""
+    given = recording(w=lambda t: t >= 0.0)
+    R_ta = euler_to_matrix(0.0, 0.0, heading)
+    rng = np.random.default_rng(2)
+    m = field @ R_ta + np.array([iron, 0.0, 0.0]) + 0.1 * rng.standard_normal((given.t.size, 3))
+    return Inertial(t=given.t, f=given.f, w=given.w, m=m)
+
+
+def test_the_magnetic_field_at_rest_gives_the_heading():
+    known = MagneticField(*FIELD)
+    found = alignment.align(magnetic(FIELD), field=known, place=alignment.Place(lat=LAT, height=0.0))
+    assert found.source == "magnetic"
+    assert found.best is not None
+    assert matrix_to_euler(found.best.R_ta)[2] == pytest.approx(0.7, abs=3.0 * found.best.sigma[2])
+    assert found.best.sigma[2] < 5.0 * DEGREE
+
+
+@pytest.mark.parametrize(
+    ("true", "known", "iron", "place", "code"),
+    [
+        (FIELD, MagneticField(*FIELD), 30.0, None, "field_disturbed"),
+        (np.array([1.5, 0.0, 55.0]), MagneticField(1.5, 0.0, 55.0), 0.0, None, "field_steep"),
+        (FIELD, None, 0.0, None, "no_field_model"),
+        (FIELD, MagneticField(*FIELD), 0.0, None, "no_place"),
+    ],
+)
+def test_why_there_is_no_heading_is_said(true, known, iron, place, code):
+    found = alignment.align(magnetic(true, iron=iron), field=known, place=place)
+    assert code in [reason.code for reason in found.reasons]
+    assert found.source == ("magnetic" if code == "no_place" else None)
 
 
 # Refusals -----------------------------------------------------------------------------------------------------

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from nav_core.errors import RangeError, TooLittleDataError
+from nav_core.errors import RangeError, ShapeError, TooLittleDataError
 from nav_core.kalman import normalised
 from nav_core.navigation import NoGyroError, Receiver, Vehicle, inertial_gnss, kernels, navigate, reference
 from nav_core.records import Inertial
-from nav_core.rotation import rotvec_to_matrix
+from nav_core.rotation import matrix_to_euler, rotvec_to_matrix
 from tests.nav_core import python_ins
 from tests.nav_core.drives_on_the_globe import errors, world
 
@@ -180,6 +180,20 @@ def test_biases_are_found():
     gyro, accel = seen.truth.R_va @ seen.truth.gyro_bias, seen.truth.R_va @ seen.truth.accel_bias
     assert np.degrees(solution.bias[-1, 3:] - gyro) == pytest.approx(np.zeros(3), abs=0.02)
     assert np.abs(solution.bias[-1, :3] - accel).max() < 3.0 * solution.sigma[-1, 9:12].max()
+
+
+def test_sigmas_of_the_angles_are_those_of_the_rotation_seen_along_the_track():
+    # Drawn from the covariance of the rotation about the T axes, the angles scatter by what is stated.
+    seen = world(8, duration=40.0)
+    solution = navigate(seen.drive, seen.truth.R_va, **seen.lags)
+    k = solution.t.size // 2
+    drawn = np.random.default_rng(1).multivariate_normal(np.zeros(3), solution.P[k, 6:9, 6:9], 20000)
+    scattered = matrix_to_euler(rotvec_to_matrix(drawn) @ solution.R_tv[k]) - solution.euler[k]
+    assert np.std(np.mod(scattered + np.pi, 2.0 * np.pi) - np.pi, axis=0) == pytest.approx(
+        solution.euler_sigma[k], rel=0.03
+    )
+    with pytest.raises(ShapeError):
+        replace(solution, velocity=solution.velocity[1:])
 
 
 def test_a_hole_in_the_record_is_uncertain():
