@@ -5,7 +5,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 PYTEST_WORKERS ?= 2
 
-.PHONY: help setup run test check bench bench-mounting bench-crash vendor lock clean bench-moved coverage
+.PHONY: help setup run test check bench bench-mounting bench-crash vendor lock clean bench-moved coverage test-faults
 .DEFAULT_GOAL := help
 
 help:  ## This list
@@ -19,6 +19,9 @@ run: setup  ## The service and a simulated fleet, on this machine; Ctrl-C stops 
 test: setup  ## All tests; what needs a browser, PostgreSQL or RabbitMQ is skipped where it is missing
 	@scripts/browser.sh
 	$(BIN)/python -m pytest -n $(PYTEST_WORKERS) --dist loadfile
+
+test-faults: setup  ## Try to break it: every decoder fuzzed for ten minutes (SCATOLA_FUZZ_SECONDS each)
+	SCATOLA_FUZZ_SECONDS=$${SCATOLA_FUZZ_SECONDS:-600} $(BIN)/python -m pytest tests/faults -n $(PYTEST_WORKERS) -s
 
 check: setup node_modules/ready  ## Lint, types, architecture, JavaScript, migrations in step with models
 	$(BIN)/ruff check .

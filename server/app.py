@@ -14,6 +14,8 @@ from starlette.staticfiles import StaticFiles
 
 from server import health, problems
 from server.accounts import routes as accounts
+from server.accounts import user_routes as users
+from server.accounts.audit import RecentLooks
 from server.accounts.gate import AccessGate
 from server.accounts.service import ensure_organisation
 from server.database import Database
@@ -26,6 +28,7 @@ from server.installations import routes as installations
 from server.limits import BodyLimit, TokenBuckets
 from server.live import routes as live
 from server.migrations import is_current
+from server.pages import accounts as account_pages
 from server.pages import routes as pages
 from server.pages import templating
 from server.resources import folder
@@ -89,6 +92,7 @@ def create_app(settings: Settings, *, clock: Clock = utc_now) -> FastAPI:
     state.wake = _nobody_to_wake
     state.readiness = health.Readiness()
     state.telemetry = telemetry = Telemetry()
+    state.recent_looks = RecentLooks()
     state.login_attempts = TokenBuckets(accounts.LOGIN_ATTEMPTS_PER_MINUTE)
     state.claim_attempts = TokenBuckets(boxes.CLAIMS_PER_MINUTE)
     state.uploads = TokenBuckets(settings.device_requests_per_minute)
@@ -100,6 +104,7 @@ def create_app(settings: Settings, *, clock: Clock = utc_now) -> FastAPI:
     for part in (
         health,
         accounts,
+        users,
         devices,
         boxes,
         vehicles,
@@ -111,6 +116,7 @@ def create_app(settings: Settings, *, clock: Clock = utc_now) -> FastAPI:
         tickets,
         proxy,
         pages,
+        account_pages,
     ):
         app.include_router(part.router, responses=problems.described(401, 403, 404, 422))
     app.mount("/static/vendor", StaticFiles(directory=folder("web") / "vendor", check_dir=False))

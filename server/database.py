@@ -5,6 +5,7 @@ Services never commit: the edge (request, job, command) opens `transaction` and 
 
 from __future__ import annotations
 
+import copy
 import datetime as dt
 from collections.abc import Generator
 from contextlib import contextmanager
@@ -21,6 +22,8 @@ from server.settings import Settings
 
 # Any constant serves; it names the one lock under which rows of `change` get their ids.
 CHANGE_LOCK = 0x5CA701A
+# What a session is confined to, in its `info`.
+ORGANISATION = "organisation_id"
 
 
 class UtcDateTime(TypeDecorator[dt.datetime]):
@@ -79,17 +82,31 @@ class Database:
         self.engine = make_engine(settings)
         self._writer = sessionmaker(self.engine, expire_on_commit=False)
         self._reader = sessionmaker(self.engine.execution_options(writes=False), expire_on_commit=False)
+        self.info: dict[str, str] = {}
+        """Goes into the `info` of every session."""
+
+    def confined_to(self, organisation_id: str) -> Database:
+        """The same database, whose sessions see one organisation only (`server.isolation` holds them to it)."""
+        # Here and not above, because it knows the models; without it a confined session would be none.
+        from server.isolation import install
+
+        install()
+        confined = copy.copy(self)
+        confined.info = {ORGANISATION: organisation_id}
+        return confined
 
     @contextmanager
     def transaction(self) -> Generator[Session]:
         """A writing transaction: committed when the block ends, rolled back when it raises."""
         with self._writer.begin() as session:
+            session.info.update(self.info)
             yield session
 
     @contextmanager
     def reading(self) -> Generator[Session]:
         """A consistent view; nothing that is changed in it is kept."""
         with self._reader() as session:
+            session.info.update(self.info)
             yield session
 
     def ping(self) -> None:

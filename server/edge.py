@@ -9,6 +9,7 @@ from typing import Annotated, cast
 from fastapi import Depends
 from starlette.requests import HTTPConnection
 
+from server.accounts.caller import Caller
 from server.database import Database
 from server.settings import Settings
 from server.store import BlobStore
@@ -22,7 +23,12 @@ async def _settings(connection: HTTPConnection) -> Settings:
 
 
 async def _database(connection: HTTPConnection) -> Database:
-    return cast("Database", connection.app.state.database)
+    """The database as the caller may see it: a box acts on its own id alone, everybody else on one organisation."""
+    database = cast("Database", connection.app.state.database)
+    caller = cast("Caller | None", getattr(connection.state, "caller", None))
+    if caller is None or caller.kind in ("device", "ticket"):
+        return database
+    return database.confined_to(caller.organisation_id)
 
 
 async def _store(connection: HTTPConnection) -> BlobStore:

@@ -133,6 +133,8 @@ def settings(request, tmp_path, monkeypatch, dialect) -> Settings:
 @pytest.fixture
 def database(settings, dialect) -> Generator[Database]:
     """The settings' database, empty and migrated."""
+    import sqlalchemy as sa
+
     from server.database import Database
     from server.models import Base
 
@@ -140,6 +142,7 @@ def database(settings, dialect) -> Generator[Database]:
     yield database
     if dialect == "postgresql":
         with database.transaction() as session:
+            session.execute(sa.text("SET LOCAL scatola.audit_retention = 'on'"))
             for table in reversed(Base.metadata.sorted_tables):  # TRUNCATE takes half a second
                 session.execute(table.delete())
     database.dispose()

@@ -6,13 +6,21 @@ a route runs; the dependencies here hand the caller to the route and state what 
 
 from __future__ import annotations
 
+import datetime as dt
+from collections.abc import Awaitable, Callable
 from typing import Annotated, cast
 
 from fastapi import Depends
+from starlette.concurrency import run_in_threadpool
 from starlette.requests import HTTPConnection
 
+from server.accounts import audit
 from server.accounts.caller import Caller
+from server.accounts.permissions import Permission
+from server.database import Database
 from server.errors import ForbiddenError, UnauthenticatedError
+
+_PEOPLE = ("admin", "session", "key")
 
 
 async def caller_of(connection: HTTPConnection) -> Caller:
@@ -23,17 +31,49 @@ async def caller_of(connection: HTTPConnection) -> Caller:
     return caller
 
 
-async def reader(connection: HTTPConnection) -> Caller:
-    """A caller that may read the fleet."""
-    caller = await caller_of(connection)
-    if caller.kind not in ("admin", "session"):
-        raise ForbiddenError("Not for this token")
-    return caller
+def needs(permission: Permission) -> Callable[[HTTPConnection], Awaitable[Caller]]:
+    """A dependency: a caller with this permission."""
+
+    async def with_permission(connection: HTTPConnection) -> Caller:
+        caller = await caller_of(connection)
+        if caller.kind not in _PEOPLE or not caller.may(permission):
+            raise ForbiddenError(f"Needs the permission {permission}")
+        return caller
+
+    return with_permission
 
 
-async def administrator(connection: HTTPConnection) -> Caller:
-    """A caller that may change the fleet; whoever is signed in may, as long as there are no roles."""
-    return await reader(connection)
+def looks_at(permission: Permission) -> Callable[[HTTPConnection], Awaitable[Caller]]:
+    """A dependency: a caller with this permission, whose look is written to the audit log before it gets anything."""
+    allowed = needs(permission)
+
+    async def with_entry(connection: HTTPConnection) -> Caller:
+        caller = await allowed(connection)
+        await run_in_threadpool(look, connection, caller, permission)
+        return caller
+
+    return with_entry
+
+
+def look(connection: HTTPConnection, caller: Caller, permission: Permission) -> None:
+    """Write to the audit log that a caller sees locations or samples: the route, the ids in it, the query."""
+    state = connection.app.state
+    now = cast("dt.datetime", state.clock())
+    route = getattr(connection.scope.get("route"), "path", connection.url.path)
+    subject = " ".join([route, *(f"{name}={value}" for name, value in connection.path_params.items())])
+    actor = caller.user_id or caller.key_id or caller.session_id
+    query = connection.url.query[:500]
+    key = (caller.organisation_id, caller.kind, actor, permission, subject, query)
+    if not cast("audit.RecentLooks", state.recent_looks).is_new(key, now):
+        return
+    with cast("Database", state.database).transaction() as session:
+        detail = {"query": query} if query else {}
+        audit.record(session, caller, permission, subject, now=now, address=address_of(connection), detail=detail)
+
+
+def address_of(connection: HTTPConnection) -> str:
+    """Where a request came from, as far as the proxies in front are believed."""
+    return connection.client.host if connection.client else ""
 
 
 async def device_caller(connection: HTTPConnection) -> Caller:
@@ -44,19 +84,39 @@ async def device_caller(connection: HTTPConnection) -> Caller:
     return caller
 
 
+async def operator(connection: HTTPConnection) -> Caller:
+    """Who runs the installation, with the administrator's token."""
+    caller = await caller_of(connection)
+    if caller.kind != "admin":
+        raise ForbiddenError("Only the installation's administrator may do this")
+    return caller
+
+
 AnyCaller = Annotated[Caller, Depends(caller_of)]
-Reader = Annotated[Caller, Depends(reader)]
-Administrator = Annotated[Caller, Depends(administrator)]
+Reader = Annotated[Caller, Depends(needs("fleet.read"))]
+Administrator = Annotated[Caller, Depends(needs("fleet.write"))]
+Installer = Annotated[Caller, Depends(needs("install"))]
+LocationReader = Annotated[Caller, Depends(looks_at("location.read"))]
+RawReader = Annotated[Caller, Depends(looks_at("raw.read"))]
+UserManager = Annotated[Caller, Depends(needs("users.manage"))]
+AuditReader = Annotated[Caller, Depends(needs("audit.read"))]
+Operator = Annotated[Caller, Depends(operator)]
 DeviceCaller = Annotated[Caller, Depends(device_caller)]
 
 __all__ = [
     "Administrator",
     "AnyCaller",
+    "AuditReader",
     "Caller",
     "DeviceCaller",
+    "Installer",
+    "LocationReader",
+    "Operator",
+    "RawReader",
     "Reader",
-    "administrator",
+    "UserManager",
+    "address_of",
     "caller_of",
-    "device_caller",
-    "reader",
+    "look",
+    "needs",
 ]

@@ -5,19 +5,29 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from server.accounts.permissions import Permission
+
 
 @dataclass(frozen=True, slots=True)
 class Caller:
     """An authenticated caller.
 
-    ``admin`` holds the administrator's token, ``session`` is a signed-in browser, ``device`` a box,
-    ``ticket`` a view that was opened for one device.
+    ``admin`` holds the administrator's token, ``session`` is a signed-in browser, ``key`` a program with an API
+    key, ``device`` a box, ``ticket`` a view that was opened for one device.
     """
 
     organisation_id: str
-    kind: Literal["admin", "session", "device", "ticket"]
+    kind: Literal["admin", "session", "key", "device", "ticket"]
+    name: str = ""
+    permissions: frozenset[Permission] = frozenset()
+    user_id: str | None = None
+    key_id: str | None = None
     session_id: str | None = None
     csrf_token: str | None = None
     device_id: str | None = None
     signed_body_sha256: str | None = None
     """Of a signed request: the hash that its body, as sent, must have."""
+
+    def may(self, permission: Permission) -> bool:
+        """Whether the caller has a permission."""
+        return permission in self.permissions

@@ -19,9 +19,10 @@ from starlette.responses import RedirectResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from server.accounts import service, signature
-from server.accounts.access import Caller
+from server.accounts.caller import Caller
 from server.accounts.cookie import COOKIE, cookie_header
-from server.accounts.secrets import hash_of, same
+from server.accounts.permissions import ALL
+from server.accounts.secrets import KEY_PREFIX, hash_of, same
 from server.database import Database
 from server.errors import ForbiddenError, ProblemError, UnauthenticatedError
 from server.problems import is_api, problem_response
@@ -80,17 +81,17 @@ def _identify(connection: HTTPConnection) -> tuple[Caller | None, bool]:
     if scheme:
         if scheme.lower() != "bearer":
             return None, False
-        return _bearer(settings, database, token.strip()), False
+        return _bearer(settings, database, token.strip(), now), False
     cookie = connection.cookies.get(COOKIE)
     if cookie:
         with database.reading() as session:
-            row = service.session_of(session, cookie, now=now)
-        if row is not None:
+            found = service.session_of(session, cookie, now=now)
+        if found is not None:
+            row, caller = found
             renew = service.due_to_slide(row, now=now)
             if renew:
                 with database.transaction() as session:
                     service.slide(session, row.id, now=now)
-            caller = Caller(row.organisation_id, "session", session_id=row.id, csrf_token=row.csrf_token)
             return caller, renew
     view = _VIEW.fullmatch(connection.url.path)
     if view is not None:
@@ -100,11 +101,16 @@ def _identify(connection: HTTPConnection) -> tuple[Caller | None, bool]:
     return None, False
 
 
-def _bearer(settings: Settings, database: Database, token: str) -> Caller | None:
+def _bearer(settings: Settings, database: Database, token: str, now: dt.datetime) -> Caller | None:
     if settings.admin_token is not None and same(token, settings.admin_token.get_secret_value()):
         with database.reading() as session:
             organisation = service.default_organisation(session)
-        return None if organisation is None else Caller(organisation.id, "admin")
+        if organisation is None:
+            return None
+        return Caller(organisation.id, "admin", name="administrator's token", permissions=ALL)
+    if token.startswith(KEY_PREFIX):
+        with database.reading() as session:
+            return service.key_of(session, token, now=now)
     with database.reading() as session:
         found = service.device_of(session, token)
     if found is None:

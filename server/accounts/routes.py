@@ -8,8 +8,8 @@ from typing import Annotated, cast
 from fastapi import APIRouter, Form, Request
 from starlette.responses import RedirectResponse, Response
 
-from server.accounts import service
-from server.accounts.access import AnyCaller, Caller
+from server.accounts import passwords, service, users
+from server.accounts.access import AnyCaller, Caller, address_of
 from server.accounts.cookie import cookie_header
 from server.accounts.schemas import OpenedSessionOut, SessionOut, SignIn
 from server.accounts.secrets import same
@@ -36,6 +36,24 @@ def _check_attempts(request: Request, now: dt.datetime) -> None:
     if wait_s > 0.0:
         seconds = int(wait_s) + 1
         raise TooManyRequestsError(f"Too many attempts; try again in {seconds} s", retry_after_s=seconds)
+
+
+def _open_by_password(
+    request: Request, database: Database, email: str, password: str, totp: str, now: dt.datetime
+) -> service.OpenedSession:
+    with database.reading() as session:
+        found = users.candidate(session, email)
+    right = passwords.matches(None if found is None else found.password_hash, password)
+    opened = None
+    if found is not None:
+        with database.transaction() as session:
+            opened = users.sign_in(session, found, totp, right=right, now=now, address=address_of(request))
+    if opened is None:
+        raise UnauthenticatedError(
+            "E-mail, password or authenticator code is not right, or there were too many attempts; wait a little",
+            code="sign_in_failed",
+        )
+    return opened
 
 
 def _open(settings: Settings, database: Database, code: str, now: dt.datetime) -> service.OpenedSession:
@@ -65,12 +83,18 @@ def login(
     database: DatabaseOf,
     now: Now,
     code: Annotated[str, Form(max_length=500)] = "",
+    email: Annotated[str, Form(max_length=254)] = "",
+    password: Annotated[str, Form(max_length=200)] = "",
+    totp: Annotated[str, Form(max_length=20)] = "",
     next: Annotated[str, Form(max_length=2000)] = "/",  # noqa: A002  the form's name
 ) -> Response:
     """Open a session and go on to the page that was asked for."""
     try:
         _check_attempts(request, now)
-        opened = _open(settings, database, code.strip(), now)
+        if email and not code:
+            opened = _open_by_password(request, database, email, password, totp, now)
+        else:
+            opened = _open(settings, database, code.strip(), now)
     except (UnauthenticatedError, TooManyRequestsError) as error:
         return _form(request, "", next, error.detail, error.status)
     response = RedirectResponse(_local(next), 303)
@@ -99,7 +123,10 @@ def open_session(
 ) -> OpenedSessionOut:
     """Sign in: sets the session's cookie and tells its CSRF token."""
     _check_attempts(request, now)
-    opened = _open(settings, database, body.code.strip(), now)
+    if body.code is not None:
+        opened = _open(settings, database, body.code.strip(), now)
+    else:
+        opened = _open_by_password(request, database, body.email or "", body.password or "", body.totp, now)
     response.headers["set-cookie"] = cookie_header(opened.token, request)
     return OpenedSessionOut(csrf_token=opened.csrf_token, expires_at=opened.expires_at)
 

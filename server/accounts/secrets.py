@@ -10,6 +10,9 @@ import hashlib
 import hmac
 import secrets
 
+KEY_PREFIX = "sck_"
+"""Begins every API key: lets scanners find one that leaked, and the gate know one."""
+
 
 def new_token(prefix: str = "") -> str:
     """A fresh 256-bit token, URL-safe."""

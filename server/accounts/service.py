@@ -9,9 +9,10 @@ from sqlalchemy import delete, or_, select
 from sqlalchemy.orm import Session
 
 from server.accounts.caller import Caller
+from server.accounts.permissions import ALL, ROLE_PERMISSIONS, known
 from server.accounts.secrets import hash_of, new_code, new_token
 from server.errors import UnauthenticatedError
-from server.models import Device, Organisation, SignInCode, WebSession
+from server.models import ApiKey, Device, Organisation, SignInCode, User, WebSession
 
 SESSION_LIFE = dt.timedelta(hours=12)
 CODE_LIFE = dt.timedelta(hours=24)
@@ -51,11 +52,17 @@ def first_sign_in(session: Session, *, now: dt.datetime) -> str | None:
     return new_sign_in_code(session, ensure_organisation(session, now=now).id, now=now)
 
 
-def new_sign_in_code(session: Session, organisation_id: str, *, now: dt.datetime) -> str:
-    """A one-time code that opens a session within a day."""
+def new_sign_in_code(session: Session, organisation_id: str, *, now: dt.datetime, user_id: str | None = None) -> str:
+    """A one-time code that opens a session within a day, for a user or for an administrator without an account."""
     code = new_code()
     session.add(
-        SignInCode(code_hash=hash_of(code), organisation_id=organisation_id, created_at=now, expires_at=now + CODE_LIFE)
+        SignInCode(
+            code_hash=hash_of(code),
+            organisation_id=organisation_id,
+            created_at=now,
+            expires_at=now + CODE_LIFE,
+            user_id=user_id,
+        )
     )
     return code
 
@@ -66,11 +73,16 @@ def redeem(session: Session, code: str, *, now: dt.datetime) -> OpenedSession:
     row = session.get(SignInCode, hash_of(code), with_for_update=True)
     if row is None or row.used_at is not None or row.expires_at <= now:
         raise UnauthenticatedError("The code is not valid, or was used already", code="sign_in_failed")
+    user = None if row.user_id is None else session.get_one(User, row.user_id)
+    if user is not None and user.disabled_at is not None:
+        raise UnauthenticatedError("The code is not valid, or was used already", code="sign_in_failed")
     row.used_at = now
-    return open_session(session, row.organisation_id, now=now)
+    return open_session(session, row.organisation_id, now=now, user_id=row.user_id, by_code=True)
 
 
-def open_session(session: Session, organisation_id: str, *, now: dt.datetime) -> OpenedSession:
+def open_session(
+    session: Session, organisation_id: str, *, now: dt.datetime, user_id: str | None = None, by_code: bool = False
+) -> OpenedSession:
     """A session for a browser; sessions that ran out are forgotten on the way."""
     session.execute(delete(WebSession).where(WebSession.expires_at <= now))
     opened = OpenedSession(token=new_token(), csrf_token=new_token(), expires_at=now + SESSION_LIFE)
@@ -81,6 +93,8 @@ def open_session(session: Session, organisation_id: str, *, now: dt.datetime) ->
             organisation_id=organisation_id,
             created_at=now,
             expires_at=opened.expires_at,
+            user_id=user_id,
+            by_code=by_code,
         )
     )
     return opened
@@ -91,11 +105,49 @@ def close_session(session: Session, session_id: str) -> None:
     session.execute(delete(WebSession).where(WebSession.id == session_id))
 
 
-def session_of(session: Session, token: str, *, now: dt.datetime) -> WebSession | None:
-    """The live session of a cookie."""
-    return session.scalar(
-        select(WebSession).where(WebSession.token_hash == hash_of(token), WebSession.expires_at > now)
+def session_of(session: Session, token: str, *, now: dt.datetime) -> tuple[WebSession, Caller] | None:
+    """The live session of a cookie and whom it lets in; a user's role counts as it is now."""
+    found = session.execute(
+        select(WebSession, User)
+        .outerjoin(User, User.id == WebSession.user_id)
+        .where(WebSession.token_hash == hash_of(token), WebSession.expires_at > now)
+    ).first()
+    if found is None:
+        return None
+    row, user = found[0], _maybe(found[1])
+    if user is not None and user.disabled_at is not None:
+        return None
+    caller = Caller(
+        row.organisation_id,
+        "session",
+        name="administrator" if user is None else user.email,
+        permissions=ALL if user is None else ROLE_PERMISSIONS[user.role],
+        user_id=None if user is None else user.id,
+        session_id=row.id,
+        csrf_token=row.csrf_token,
     )
+    return row, caller
+
+
+def _maybe(user: User | None) -> User | None:
+    """What an outer join gives, typed as it is."""
+    return user
+
+
+def key_of(session: Session, token: str, *, now: dt.datetime) -> Caller | None:
+    """The program that an API key belongs to; a key is never worth more than its maker is now."""
+    found = session.execute(
+        select(ApiKey, User)
+        .outerjoin(User, User.id == ApiKey.user_id)
+        .where(ApiKey.key_hash == hash_of(token), ApiKey.revoked_at.is_(None))
+    ).first()
+    if found is None:
+        return None
+    key, maker = found[0], _maybe(found[1])
+    if (key.expires_at is not None and key.expires_at <= now) or (maker is not None and maker.disabled_at is not None):
+        return None
+    most = ALL if maker is None else ROLE_PERMISSIONS[maker.role]
+    return Caller(key.organisation_id, "key", name=key.name, permissions=known(key.scopes) & most, key_id=key.id)
 
 
 def due_to_slide(row: WebSession, *, now: dt.datetime) -> bool:

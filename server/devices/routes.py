@@ -7,7 +7,7 @@ from typing import Annotated
 from fastapi import APIRouter, Header, Query
 from starlette.responses import Response
 
-from server.accounts.access import Administrator, Reader
+from server.accounts.access import Administrator, Installer, Reader
 from server.devices import provisioning, queries, service
 from server.devices.schemas import (
     ClaimCodeOut,
@@ -93,7 +93,7 @@ def set_references(
 
 @router.put("/{device_id}/vehicle")
 def put_into_vehicle(
-    device_id: str, wanted: VehicleChoice, caller: Administrator, database: DatabaseOf, now: Now
+    device_id: str, wanted: VehicleChoice, caller: Installer, database: DatabaseOf, now: Now
 ) -> DeviceOut:
     """Swap a box to another vehicle, or take it out; its installation ends there."""
     with database.transaction() as session:
@@ -102,7 +102,7 @@ def put_into_vehicle(
 
 
 @router.post("/{device_id}/claim-code", status_code=201, responses=described(409))
-def new_claim_code(device_id: str, caller: Administrator, database: DatabaseOf, now: Now) -> ClaimCodeOut:
+def new_claim_code(device_id: str, caller: Installer, database: DatabaseOf, now: Now) -> ClaimCodeOut:
     """A code that the box trades for its token at /api/v1/claim; it voids the box's earlier codes."""
     with database.transaction() as session:
         return provisioning.new_claim_code(session, caller.organisation_id, device_id, now=now)

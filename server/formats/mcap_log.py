@@ -50,7 +50,7 @@ def read(body: bytes, *, max_decoded_bytes: int | None) -> Columns:
                 # While they are read, rows are objects, several times as large as in columns.
                 check_size(4 * len(rows), len(NAMES), max_decoded_bytes)
                 _take(record, channels, schemas, rows, left_out)
-    except (McapError, struct.error, UnicodeDecodeError, EOFError, ValueError) as error:
+    except (McapError, struct.error, UnicodeDecodeError, EOFError, ValueError, OverflowError) as error:
         raise InvalidError(f"Not readable MCAP: {type(error).__name__} {str(error)[:200]}", code="mcap") from error
     if not rows:
         kinds = ", ".join(sorted(left_out)) or "none"

@@ -83,6 +83,8 @@ class ThriftReader:
         return fields
 
     def _value(self, wire: int, depth: int) -> Value:
+        if depth > _MAX_DEPTH:
+            raise self._bad("too deep a nesting")
         self._values_left -= 1
         if self._values_left < 0:
             raise self._bad("too many values")

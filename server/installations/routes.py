@@ -6,7 +6,7 @@ from typing import Annotated
 
 from fastapi import APIRouter, Query
 
-from server.accounts.access import Administrator, Reader
+from server.accounts.access import Installer, Reader
 from server.devices.queries import device_of
 from server.edge import DatabaseOf, Now
 from server.installations import queries, service
@@ -40,7 +40,7 @@ def read_history(
 
 @router.put("/installation")
 def set_manual(
-    device_id: str, wanted: ManualMounting, caller: Administrator, database: DatabaseOf, now: Now
+    device_id: str, wanted: ManualMounting, caller: Installer, database: DatabaseOf, now: Now
 ) -> InstallationOut:
     """Set a measured mounting; it holds until the box is seen to move."""
     with database.transaction() as session:

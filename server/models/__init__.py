@@ -1,6 +1,7 @@
 """The tables, one file per aggregate; importing this package maps them all."""
 
 from server.models.access import SignInCode, ViewTicket, WebSession
+from server.models.account import ApiKey, AuditEntry, User
 from server.models.base import Base, new_id
 from server.models.batch import Batch, BatchDigest, SequenceRun
 from server.models.change import Change
@@ -11,7 +12,9 @@ from server.models.trip import TrackPoint, Trip
 from server.models.vehicle import Assignment, Vehicle
 
 __all__ = [
+    "ApiKey",
     "Assignment",
+    "AuditEntry",
     "Base",
     "Batch",
     "BatchDigest",
@@ -28,6 +31,7 @@ __all__ = [
     "SignInCode",
     "TrackPoint",
     "Trip",
+    "User",
     "Vehicle",
     "ViewTicket",
     "WebSession",

@@ -18,6 +18,8 @@ class SignInCode(Base):
     created_at: Mapped[dt.datetime]
     expires_at: Mapped[dt.datetime]
     used_at: Mapped[dt.datetime | None]
+    user_id: Mapped[str | None] = mapped_column(ForeignKey("user_account.id"))
+    """Whom it signs in; an administrator without an account where there is none."""
 
 
 class WebSession(Base):
@@ -28,6 +30,9 @@ class WebSession(Base):
     id: Mapped[str] = id_column()
     token_hash: Mapped[str] = mapped_column(String(64), unique=True)
     csrf_token: Mapped[str] = mapped_column(String(64))
+    user_id: Mapped[str | None] = mapped_column(ForeignKey("user_account.id"))
+    by_code: Mapped[bool] = mapped_column(default=False)
+    """Opened with a one-time code, so that a forgotten password may be replaced without knowing it."""
     organisation_id: Mapped[str] = mapped_column(ForeignKey("organisation.id"))
     created_at: Mapped[dt.datetime]
     expires_at: Mapped[dt.datetime]

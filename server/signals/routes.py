@@ -10,9 +10,9 @@ import orjson
 from fastapi import APIRouter, Query
 from starlette.responses import Response
 
-from server.accounts.access import Reader
+from server.accounts.access import RawReader
 from server.edge import DatabaseOf, Now, StoreOf
-from server.errors import InvalidError
+from server.errors import ForbiddenError, InvalidError
 from server.signals import queries, service
 from server.signals.service import UNITS, Frame, Signals, Window
 
@@ -28,7 +28,7 @@ MEDIA_TYPE = "application/octet-stream"
 )
 def get_signals(
     device_id: str,
-    caller: Reader,
+    caller: RawReader,
     database: DatabaseOf,
     store: StoreOf,
     now: Now,
@@ -54,6 +54,8 @@ def get_signals(
     - for each group: `count` times as float64, seconds since `t0`, then `count` float32 values for
       each of its columns.  NaN interrupts the line.
     """
+    if {"lat", "lon"} & set(columns.split(",")) and not caller.may("location.read"):
+        raise ForbiddenError("lat and lon need the permission location.read")
     with database.reading() as session:
         queries.require_device(session, caller.organisation_id, device_id)
         window = _window(begin, end or queries.newest(session, device_id) or now, seconds)

@@ -8,7 +8,7 @@ from typing import Annotated
 from fastapi import APIRouter, Query
 from pydantic import AwareDatetime
 
-from server.accounts.access import Reader
+from server.accounts.access import LocationReader, Reader
 from server.edge import DatabaseOf
 from server.errors import InvalidError
 from server.trips import queries
@@ -55,7 +55,7 @@ def read(trip_id: str, caller: Reader, database: DatabaseOf) -> TripOut:
 
 
 @router.get("/{trip_id}/track")
-def read_track(trip_id: str, caller: Reader, database: DatabaseOf) -> TrackOut:
+def read_track(trip_id: str, caller: LocationReader, database: DatabaseOf) -> TrackOut:
     """The 1 Hz track as GeoJSON; standing time has its first point only."""
     with database.reading() as session:
         trip = queries.trip_of(session, caller.organisation_id, trip_id)

@@ -580,3 +580,38 @@ def test_json_output_of_errors_is_json():
     with pytest.raises(InvalidError) as caught:
         decode("application/json", b'{"columns": {"t": [0], "temp": [NaN]}}', max_decoded_bytes=LIMIT)
     json.dumps(caught.value.extra)
+
+
+def test_arrow_streams_that_lie_about_their_structure():
+    """Arrow's own reader ends the process for some of these; tests/faults finds more."""
+    body = arrow(table_of(some_columns(8)))
+    media_type = "application/vnd.apache.arrow.stream"
+    schema_end = 8 + struct.unpack_from("<I", body, 4)[0]
+    for damaged in (
+        body[schema_end:],  # a record batch without a schema before it
+        body[:schema_end] + body,  # a schema twice
+        body[:schema_end],  # a schema alone is a stream without rows
+        struct.pack("<II", 0xFFFFFFFF, 0),
+        struct.pack("<II", 0xFFFFFFFF, 2**31),
+        b"",
+    ):
+        with pytest.raises(InvalidError):
+            decode(media_type, damaged, max_decoded_bytes=LIMIT)
+
+
+def test_arrow_names_the_row_over_all_batches():
+    good, bad = pa.table({"t": [0.0, 1.0]}), pa.table({"t": [2.0, np.inf]})
+    sink = io.BytesIO()
+    with ipc.new_stream(sink, good.schema) as writer:
+        writer.write_table(good)
+        writer.write_table(bad)
+    with pytest.raises(InvalidError) as refused:
+        decode("application/vnd.apache.arrow.stream", sink.getvalue(), max_decoded_bytes=LIMIT)
+    assert (refused.value.code, refused.value.extra["row"]) == ("not_finite", 3)
+
+
+def test_parquet_lists_nested_without_end_are_refused():
+    footer = b"\x19" + b"\x19" * 5000
+    body = b"PAR1" + footer + struct.pack("<I", len(footer)) + b"PAR1"
+    with pytest.raises(InvalidError, match="nesting"):
+        decode("application/vnd.apache.parquet", body, max_decoded_bytes=LIMIT)

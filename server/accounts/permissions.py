@@ -1,0 +1,30 @@
+"""What somebody may do, and which of it each role has."""
+
+from __future__ import annotations
+
+from typing import Literal, get_args
+
+Permission = Literal[
+    "fleet.read",  # vehicles, boxes, mountings, trips as figures
+    "fleet.write",  # register, swap, revoke, configure
+    "install",  # mountings by hand, claim codes, which vehicle a box sits in
+    "location.read",  # where a vehicle is or was
+    "raw.read",  # the samples themselves
+    "users.manage",  # people, API keys
+    "audit.read",  # who did and saw what
+]
+PERMISSIONS: tuple[Permission, ...] = get_args(Permission)
+ALL: frozenset[Permission] = frozenset(PERMISSIONS)
+
+ROLE_PERMISSIONS: dict[str, frozenset[Permission]] = {
+    "admin": ALL,
+    "manager": frozenset({"fleet.read", "fleet.write", "install", "location.read"}),
+    "installer": frozenset({"fleet.read", "install"}),
+    "claims": frozenset({"fleet.read", "location.read", "raw.read"}),
+    "reader": frozenset({"fleet.read"}),
+}
+
+
+def known(scopes: list[object]) -> frozenset[Permission]:
+    """The permissions among some words; what this version does not know opens nothing."""
+    return frozenset(permission for permission in PERMISSIONS if permission in scopes)

@@ -1,0 +1,1 @@
+"""Long-running tests that try to break the service; `make test-faults` gives them their full time."""

@@ -1,0 +1,458 @@
+"""No caller reaches another organisation, whatever route and method it tries; no role reaches more than it may."""
+
+from __future__ import annotations
+
+import datetime as dt
+import re
+from dataclasses import dataclass
+
+import httpx
+import pytest
+import sqlalchemy as sa
+from fastapi import FastAPI
+from fastapi.routing import APIRoute
+from sqlalchemy.orm import Session
+
+from server.accounts.access import needs
+from server.accounts.permissions import PERMISSIONS, ROLE_PERMISSIONS
+from server.database import Database
+from server.errors import NotFoundError
+from server.installations.blank import blank_result
+from server.isolation import EVERYWHERE
+from server.models import (
+    ApiKey,
+    Assignment,
+    AuditEntry,
+    Base,
+    Batch,
+    BatchDigest,
+    Boot,
+    Change,
+    ClaimCode,
+    Device,
+    DeviceRequest,
+    DeviceState,
+    Installation,
+    MountingRevision,
+    Organisation,
+    SequenceRun,
+    SignInCode,
+    TrackPoint,
+    Trip,
+    User,
+    Vehicle,
+    ViewTicket,
+    WebSession,
+)
+from tests.conftest import ADMIN_TOKEN
+
+pytestmark = pytest.mark.both_databases
+AT = dt.datetime(2026, 3, 1, 12, 0, tzinfo=dt.UTC)
+OPEN = re.compile(r"/(healthz|readyz|metrics|openapi\.json|docs|login|static.*|api/v1/auth/.*|api/v1/claim)")
+
+
+def fill(session: Session, name: str) -> dict[str, str]:
+    """A row of every table for an organisation; ids by the names that routes use."""
+    organisation = Organisation(id=f"{name}0" * 16, name=name, created_at=AT - dt.timedelta(days=1))
+    ids = {
+        kind: f"{name}{number}" * 16
+        for number, kind in enumerate(("vehicle", "device", "trip", "user", "key", "request"), 1)
+    }
+    rest = {kind: f"{name}{number}" * 16 for number, kind in enumerate(("batch", "installation"), 7)}
+    org = organisation.id
+    session.add(organisation)
+    session.flush()
+    session.add_all(
+        [
+            Vehicle(
+                id=ids["vehicle"], organisation_id=org, name=f"vehicle of {name}", vehicle_class="car", created_at=AT
+            ),
+            User(
+                id=ids["user"], organisation_id=org, email=f"admin@{name}.test", name=name, role="admin", created_at=AT
+            ),
+        ]
+    )
+    session.flush()
+    session.add(
+        Device(
+            id=ids["device"],
+            organisation_id=org,
+            name=f"box of {name}",
+            token_hash=name * 64,
+            created_at=AT,
+            vehicle_id=ids["vehicle"],
+        )
+    )
+    session.flush()
+    session.add_all(
+        [
+            Assignment(device_id=ids["device"], vehicle_id=ids["vehicle"], began_at=AT),
+            ApiKey(
+                id=ids["key"],
+                organisation_id=org,
+                name=f"key of {name}",
+                key_hash=name * 63 + "k",
+                scopes=[],
+                created_at=AT,
+            ),
+            AuditEntry(
+                at=AT,
+                organisation_id=org,
+                actor_kind="job",
+                actor_name=name,
+                action="a",
+                subject=f"of {name}",
+                address="",
+            ),
+            Batch(
+                id=rest["batch"],
+                organisation_id=org,
+                device_id=ids["device"],
+                stream="continuous",
+                boot="b",
+                sequence=0,
+                media_type="x",
+                body_sha256="",
+                column_sha256="",
+                blob_key="",
+                stored_bytes=0,
+                rows=1,
+                t_first_s=0.0,
+                t_last_s=1.0,
+                received_at=AT,
+                chain_index=0,
+                chain_sha256="",
+            ),
+            Boot(
+                device_id=ids["device"],
+                boot="b",
+                ordinal=0,
+                utc_offset_s=0.0,
+                utc_sigma_s=1.0,
+                utc_source="gnss",
+                arrival_offset_s=0.0,
+                t_first_s=0.0,
+                t_last_s=1.0,
+            ),
+            Change(at=AT, organisation_id=org, kind="device", device_id=ids["device"], data={"of": name}),
+            ClaimCode(
+                code_hash=name * 62 + "cc", device_id=ids["device"], created_at=AT, expires_at=AT + dt.timedelta(1)
+            ),
+            DeviceRequest(
+                id=ids["request"],
+                device_id=ids["device"],
+                boot="b",
+                t_first_s=0.0,
+                t_last_s=1.0,
+                reason="",
+                created_at=AT,
+                expires_at=AT + dt.timedelta(days=7),
+            ),
+            DeviceState(device_id=ids["device"], updated_at=AT, position_at=AT, lat_deg=45.0, lon_deg=11.0),
+            Installation(
+                id=rest["installation"],
+                device_id=ids["device"],
+                vehicle_id=ids["vehicle"],
+                began_at=AT,
+                beginning="first",
+                updated_at=AT,
+                status="insufficient",
+                result=blank_result() | {"reasons": [f"of {name}"]},
+                algorithm="x",
+                input_sha256="",
+            ),
+            SequenceRun(device_id=ids["device"], stream="continuous", boot="b", first=0, last=0),
+            SignInCode(code_hash=name * 62 + "si", organisation_id=org, created_at=AT, expires_at=AT),
+            Trip(
+                id=ids["trip"],
+                organisation_id=org,
+                device_id=ids["device"],
+                vehicle_id=ids["vehicle"],
+                boot="b",
+                began_at=AT,
+                ended_at=AT,
+                t_first_s=0.0,
+                t_last_s=1.0,
+                distance_m=1.0,
+                position_distance_m=1.0,
+                moving_s=1.0,
+                max_speed_mps=1.0,
+                under_way=False,
+                algorithm="x",
+                input_sha256="",
+            ),
+            ViewTicket(ticket_hash=name * 62 + "vt", organisation_id=org, device_id=ids["device"], expires_at=AT),
+            WebSession(token_hash=name * 62 + "ws", csrf_token="", organisation_id=org, created_at=AT, expires_at=AT),
+        ]
+    )
+    session.flush()
+    session.add_all(
+        [
+            BatchDigest(batch_id=rest["batch"], content=b""),
+            MountingRevision(
+                installation_id=rest["installation"],
+                data_at=AT,
+                created_at=AT,
+                status="insufficient",
+                progress=0.0,
+                result={},
+                algorithm="x",
+                input_sha256="",
+            ),
+            TrackPoint(trip_id=ids["trip"], t_s=0.0, at=AT, lat_deg=45.0, lon_deg=11.0),
+        ]
+    )
+    return {"organisation": org, **ids}
+
+
+@dataclass
+class Tenants:
+    database: Database
+    mine: dict[str, str]
+    theirs: dict[str, str]
+
+
+@pytest.fixture
+def tenants(database) -> Tenants:
+    with database.transaction() as session:
+        # The first is the administrator token's.
+        return Tenants(database, fill(session, "a"), fill(session, "b"))
+
+
+# --- the wall itself
+
+
+def test_a_confined_session_sees_one_row_of_every_table(tenants):
+    confined = tenants.database.confined_to(tenants.mine["organisation"])
+    for mapper in Base.registry.mappers:
+        with tenants.database.reading() as session:
+            assert len(session.scalars(sa.select(mapper.class_)).all()) == 2, mapper.class_
+        with confined.reading() as session:
+            rows = session.scalars(sa.select(mapper.class_)).all()
+            assert len(rows) == 1, mapper.class_
+            if hasattr(rows[0], "organisation_id"):
+                assert rows[0].organisation_id == tenants.mine["organisation"]
+            # Counts, and columns alone, are no way around.
+            assert session.scalar(sa.select(sa.func.count()).select_from(mapper.class_)) == 1, mapper.class_
+            assert len(session.execute(sa.select(*mapper.primary_key)).all()) in (1, 2)
+
+
+def test_a_confined_session_reaches_nothing_by_id_or_by_join(tenants):
+    with tenants.database.confined_to(tenants.mine["organisation"]).reading() as session:
+        for model, kind in ((Vehicle, "vehicle"), (Device, "device"), (Trip, "trip"), (User, "user"), (ApiKey, "key")):
+            assert session.get(model, tenants.mine[kind]) is not None
+            assert session.get(model, tenants.theirs[kind]) is None, model
+        joined = sa.select(Device.name, Vehicle.name).outerjoin(Vehicle, Vehicle.id != Device.vehicle_id)
+        assert session.execute(joined).all() == [("box of a", None)]
+        assert session.scalar(sa.select(Organisation.name)) == "a"
+        everybody = sa.select(User.email).order_by(User.email).execution_options(**{EVERYWHERE: True})
+        assert len(session.scalars(everybody).all()) == 2
+
+
+def test_a_confined_session_changes_nothing_else(tenants):
+    confined = tenants.database.confined_to(tenants.mine["organisation"])
+    with confined.transaction() as session:
+        session.execute(sa.update(Vehicle).values(name="mine now"))
+        session.execute(sa.delete(SequenceRun))
+    with tenants.database.reading() as session:
+        assert session.get_one(Vehicle, tenants.theirs["vehicle"]).name == "vehicle of b"
+        assert session.scalars(sa.select(SequenceRun.device_id)).all() == [tenants.theirs["device"]]
+    stray = Vehicle(name="x", organisation_id=tenants.theirs["organisation"], vehicle_class="car", created_at=AT)
+    with pytest.raises(NotFoundError), confined.transaction() as session:
+        session.add(stray)
+
+
+# --- every route and method
+
+
+def api_routes(app: FastAPI) -> list[APIRoute]:
+    """Every route of every part; parts are included without a prefix."""
+    found: list[APIRoute] = []
+    for route in app.routes:
+        router = getattr(route, "original_router", None)
+        found += [inner for inner in ([route] if router is None else router.routes) if isinstance(inner, APIRoute)]
+    assert len(found) > 50
+    return found
+
+
+def routes(app: FastAPI) -> list[tuple[str, str]]:
+    return [(method, route.path) for route in api_routes(app) for method in sorted(route.methods)]
+
+
+def filled(path: str, ids: dict[str, str]) -> str:
+    for name in re.findall(r"\{(\w+)\}", path):
+        path = path.replace("{" + name + "}", ids.get(name.removesuffix("_id"), "x" * 32))
+    return path
+
+
+def test_without_credentials_every_route_refuses(app, client, tenants):
+    for method, path in routes(app):
+        if OPEN.fullmatch(path):
+            continue
+        for ids in (tenants.mine, {}):
+            answer = client.request(method, filled(path, ids), json={})
+            wanted = 401 if path.startswith("/api/") else 303
+            assert answer.status_code == wanted, (method, path, answer.text)
+
+
+BODIES = {
+    "PATCH /api/v1/vehicles/{vehicle_id}": {"name": "taken"},
+    "PUT /api/v1/devices/{device_id}/vehicle": {"vehicle_id": None},
+    "PUT /api/v1/devices/{device_id}/settings": {"signed_only": True},
+    "PUT /api/v1/devices/{device_id}/reference": {"mountings": []},
+    "POST /api/v1/devices/{device_id}/requests": {"boot": "b", "t_first_s": 0.0, "t_last_s": 1.0},
+    "PUT /api/v1/devices/{device_id}/installation": {"R_va": [[1, 0, 0], [0, 1, 0], [0, 0, 1]], "reason": "taken over"},
+    "PATCH /api/v1/users/{user_id}": {"name": "taken"},
+    "POST /users/{user_id}/role": {"role": "reader"},
+}
+
+
+def everything(database: Database) -> dict[str, list[str]]:
+    with database.reading() as session:
+        return {
+            mapper.class_.__name__: sorted(
+                str({column.key: getattr(row, column.key) for column in mapper.columns})
+                for row in session.scalars(sa.select(mapper.class_))
+                if mapper.class_ not in (AuditEntry, WebSession)
+            )
+            for mapper in Base.registry.mappers
+        }
+
+
+def test_an_administrator_reaches_nothing_of_another_organisation(app, client, tenants):
+    csrf = client.post("/api/v1/auth/session", json={"code": ADMIN_TOKEN}).json()["csrf_token"]
+    client.headers["X-CSRF-Token"] = csrf
+    before = everything(tenants.database)
+    tried = 0
+    for method, path in routes(app):
+        if OPEN.fullmatch(path) or path in ("/logout", "/api/v1/live") or "{ticket}" in path:
+            continue
+        if "{" not in path:
+            if method == "GET":
+                answer = client.get(
+                    path, params={"device": tenants.theirs["device"], "vehicle": tenants.theirs["vehicle"]}
+                )
+                # The log repeats the queries that this very test made.
+                their_ids = () if "audit" in path else tenants.theirs.values()
+                for told in ("of b", "b.test", *their_ids):
+                    assert told not in answer.text, (path, told)
+            continue
+        body = BODIES.get(f"{method} {path}", {})
+        answer = client.request(
+            method, filled(path, tenants.theirs), **({"data": body} if "/api/" not in path else {"json": body})
+        )
+        assert answer.status_code == 404, (method, path, answer.status_code, answer.text)
+        tried += 1
+        # The same request in one's own organisation is not refused for another reason.
+        own = client.request("GET", filled(path, tenants.mine)) if method == "GET" else None
+        assert own is None or own.status_code not in (401, 403, 404), (path, own.text)
+    assert tried > 25
+    assert everything(tenants.database) == before
+    # Nor by naming the other's things in a body.
+    mine, theirs = tenants.mine, tenants.theirs
+    for method, path, body in (
+        ("POST", "/api/v1/devices", {"name": "x", "vehicle_id": theirs["vehicle"]}),
+        ("PUT", f"/api/v1/devices/{mine['device']}/vehicle", {"vehicle_id": theirs["vehicle"]}),
+    ):
+        assert client.request(method, path, json=body).status_code == 422, path
+    assert everything(tenants.database) == before
+
+
+# --- roles
+
+
+def test_each_role_does_what_it_may_and_no_more(app, serve, tenants, clock):
+    from server.accounts.service import open_session
+
+    wanted = {(method, route.path): _needed(route) for route in api_routes(app) for method in route.methods}
+    assert {permission for needed in wanted.values() for permission in needed} == set(PERMISSIONS)
+    address = serve(app)
+    for role, permissions in ROLE_PERMISSIONS.items():
+        with tenants.database.transaction() as session:
+            session.execute(sa.update(User).where(User.id == tenants.mine["user"]).values(role=role))
+            opened = open_session(session, tenants.mine["organisation"], now=clock(), user_id=tenants.mine["user"])
+        with httpx.Client(base_url=address, cookies={"scatola_session": opened.token}) as browser:
+            for route in api_routes(app):
+                if "GET" not in route.methods or route.path == "/api/v1/live":
+                    continue
+                needed = wanted["GET", route.path]
+                if not needed:
+                    continue
+                answer = browser.get(filled(route.path, tenants.mine))
+                assert (answer.status_code == 403) == (not needed <= permissions), (role, route.path, answer.text)
+            for method, path in (
+                ("POST", "/api/v1/vehicles"),
+                ("POST", "/api/v1/users"),
+                ("POST", "/api/v1/organisations"),
+            ):
+                answer = browser.request(method, path, json={}, headers={"X-CSRF-Token": opened.csrf_token})
+                needed = wanted[method, path]
+                refused = path == "/api/v1/organisations" or not needed <= permissions
+                assert (answer.status_code == 403) == refused, (role, path)
+
+
+def _needed(route: APIRoute) -> set[str]:
+    """The permissions that a route's dependencies ask for."""
+    found: set[str] = set()
+    for dependency in route.dependant.dependencies:
+        call = dependency.call
+        for cell in getattr(call, "__closure__", None) or ():
+            if isinstance(cell.cell_contents, str):
+                found.add(cell.cell_contents)
+    return found
+
+
+def test_the_permissions_of_a_route_can_be_read_off():
+    assert needs("raw.read").__closure__ is not None
+
+
+def test_who_may_not_locate_sees_no_place(app, serve, tenants, clock):
+    from server.accounts.service import open_session
+
+    with tenants.database.transaction() as session:
+        session.execute(sa.update(User).where(User.id == tenants.mine["user"]).values(role="reader"))
+        opened = open_session(session, tenants.mine["organisation"], now=clock(), user_id=tenants.mine["user"])
+    with httpx.Client(base_url=serve(app), cookies={"scatola_session": opened.token}) as browser:
+        for path in ("/", f"/vehicles/{tenants.mine['vehicle']}", f"/devices/{tenants.mine['device']}"):
+            page = browser.get(path)
+            assert page.status_code == 200
+            for word in ("data-lat", "<track-map", "<signal-chart"):
+                assert word not in page.text, (path, word)
+        assert "/users" not in browser.get("/").text
+
+
+# --- the audit log
+
+
+def test_looks_at_places_and_samples_are_written_down(admin, tenants, clock):
+    device, trip = tenants.mine["device"], tenants.mine["trip"]
+    with tenants.database.reading() as session:
+        before = session.scalar(sa.select(sa.func.count(AuditEntry.id)))
+    for _ in range(2):
+        admin.get(f"/api/v1/trips/{trip}/track")
+        admin.get(f"/api/v1/devices/{device}/signals", params={"columns": "fx"})
+    admin.get("/")
+    admin.get("/api/v1/devices")
+    clock.advance(minutes=2)
+    admin.get(f"/api/v1/trips/{trip}/track")
+    with tenants.database.reading() as session:
+        rows = session.scalars(sa.select(AuditEntry).order_by(AuditEntry.id).offset(before)).all()
+    assert [(row.action, row.subject) for row in rows] == [
+        ("location.read", f"/api/v1/trips/{{trip_id}}/track trip_id={trip}"),
+        ("raw.read", f"/api/v1/devices/{{device_id}}/signals device_id={device}"),
+        ("location.read", "/"),
+        ("location.read", f"/api/v1/trips/{{trip_id}}/track trip_id={trip}"),
+    ]
+    assert rows[1].detail == {"query": "columns=fx"}
+    assert (rows[0].actor_kind, rows[0].actor_name, rows[0].address) == ("admin", "administrator's token", "127.0.0.1")
+    shown = admin.get("/api/v1/audit", params={"limit": 3}).json()
+    assert len(shown["items"]) == 3
+    older = admin.get("/api/v1/audit", params={"before": shown["next"]}).json()
+    assert older["next"] is None
+    assert "of b" not in str(older)
+
+
+@pytest.mark.parametrize("statement", ["UPDATE audit_entry SET subject = 'x'", "DELETE FROM audit_entry"])
+def test_the_log_only_grows(tenants, statement):
+    with pytest.raises(sa.exc.DBAPIError, match="only grows"), tenants.database.transaction() as session:
+        session.execute(sa.text(statement))
