@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import get_args
+from typing import Literal, get_args
 
 from nav_core.errors import NavigationError
 from nav_core.records import Drive, MountingEstimate, MountingMethod
@@ -18,7 +18,9 @@ class UnknownMethodError(NavigationError):
         super().__init__(f"method {method!r} is not known, expected one of {', '.join(known)}")
 
 
-def estimate_mounting(drive: Drive, *, method: MountingMethod = "whole-drive") -> MountingEstimate:
+def estimate_mounting(
+    drive: Drive, *, method: MountingMethod = "whole-drive", traffic_side: Literal["left", "right"] | None = None
+) -> MountingEstimate:
     """Mounting of the box in a recording.
 
     Parameters
@@ -27,6 +29,8 @@ def estimate_mounting(drive: Drive, *, method: MountingMethod = "whole-drive") -
     method : {"whole-drive", "online", "mekf", "two-phase"}
         The default uses all of the recording at once; "online" is what a live box shows; "mekf" is the
         filter of 001 ch. 4-6, "two-phase" the baseline of its §3.5.
+    traffic_side : {"left", "right"}, optional
+        Where it is known, the default also knows to which side roads fall: roll gets twice as sharp.
 
     Returns
     -------
@@ -38,10 +42,11 @@ def estimate_mounting(drive: Drive, *, method: MountingMethod = "whole-drive") -
         If there is no such estimator.
     """
     if method == "whole-drive":
+        from nav_core.mounting.model import roads_of
         from nav_core.mounting.whole_drive import estimate as estimate_whole
         from nav_core.signal import decimate
 
-        return estimate_whole(decimate(drive.inertial), drive.gnss)
+        return estimate_whole(decimate(drive.inertial), drive.gnss, noise=roads_of(traffic_side))
     if method == "mekf":
         from nav_core.mounting.thesis import estimate_thesis
 

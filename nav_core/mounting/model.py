@@ -18,7 +18,7 @@ Signs, for small road and body angles (V-frame; slope s uphill positive, climb d
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -86,6 +86,8 @@ class Noise:
     """Mean sideways tilt of the roads of a drive; part of the mounting for all the data can tell, rad.
     Roads fall by one to two percent to one side: not a bell curve.  The figure is such that 1.96 of it
     is the 95 % limit, which is what an interval is made of."""
+    crown_mean: float = 0.0
+    """What is expected of it, right side down positive; see `roads_of`, rad."""
     bias: float = 6.0 * MILLI_G
     """Accelerometer bias before the drive has spoken, per axis, m/s²."""
     drift: float = 1.0 * MILLI_G / np.sqrt(300.0)
@@ -99,6 +101,34 @@ class Noise:
     """Deviation of the antenna from the box, ahead and to the right, m."""
     lag: tuple[float, float] = (0.3, 0.5)
     """Of the receiver: mean and deviation, s."""
+
+
+TrafficSide = Literal["left", "right"]
+
+
+def roads_of(traffic_side: TrafficSide | None) -> Noise:
+    """Prior knowledge where the side of the traffic is known: roads fall towards their edge.
+
+    Parameters
+    ----------
+    traffic_side : {"left", "right"}, optional
+
+    Returns
+    -------
+    Noise
+        Expecting 0.75° of mean bank, give or take 0.4°: one to two percent, and now and then a road that
+        falls to the other side.
+    """
+    if traffic_side is None:
+        return Noise()
+    side = 1.0 if traffic_side == "right" else -1.0
+    return Noise(crown=np.radians(0.4), crown_mean=side * np.radians(0.75))
+
+
+def less_crown(R_va: Floats, noise: Noise) -> Floats:
+    """A mounting without the expected mean bank of the roads, which a drive cannot tell from it, shape (3, 3)."""
+    c, s = np.cos(noise.crown_mean), np.sin(noise.crown_mean)
+    return np.array([[1.0, 0.0, 0.0], [0.0, c, s], [0.0, -s, c]]) @ R_va
 
 
 LONGEST_STEP = 3.0

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
 from nav_core.mounting.blows import Blow, blows, cut_out
 from nav_core.mounting.confidence import assess
-from nav_core.mounting.model import COURSE_LAG, SPEED_LAG, Noise
+from nav_core.mounting.model import COURSE_LAG, SPEED_LAG, Noise, less_crown
 from nav_core.mounting.moved import Piece, pieces_of
 from nav_core.mounting.quality import (
     SWAY,
@@ -37,6 +38,13 @@ LAG_KNOWN = 0.25
 LOOSE = Verdict("not_fixed", 0.0, False, (reason("loose"),))
 
 
+class Analysis(NamedTuple):
+    """An estimate and the fit behind it, which there is when the mounting is known."""
+
+    estimate: MountingEstimate
+    fit: Fit | None
+
+
 def estimate(ticks: Ticks, gnss: Gnss, *, noise: Noise | None = None) -> MountingEstimate:
     """Mounting of a box from a whole recording.
 
@@ -55,32 +63,37 @@ def estimate(ticks: Ticks, gnss: Gnss, *, noise: Noise | None = None) -> Mountin
         Where the box was moved, the last mounting with the earlier changes.  Crashes, and standing
         after them, are left out.
     """
+    return analyse(ticks, gnss, noise=noise).estimate
+
+
+def analyse(ticks: Ticks, gnss: Gnss, *, noise: Noise | None = None) -> Analysis:
+    """`estimate`, with the fit that it rests on: what the trip has to say to later ones."""
     noise = noise or Noise()
     fixes = usable_fixes(gnss)
     trouble = inspect(ticks, gnss, fixes)
     if trouble.refused is not None:
-        return _without(refusal(trouble.refused))
+        return Analysis(_without(refusal(trouble.refused)), None)
     remarks = trouble.remarks
     found_blows = blows(ticks, fixes)
     record = cut_out(prepare(ticks, fixes), (*found_blows, *trouble.left_out))
     verdict = before_fit(record, excitation(record))
     if verdict is not None:
-        return _without(verdict, remarks=remarks)
+        return Analysis(_without(verdict, remarks=remarks), None)
     pieces = pieces_of(record, noise)
     last = pieces[-1]
     bends = excitation(last.record).across > BENDS
     handed = handedness(last.record, last.solution, noise) if bends else 0.0
     if handed < -MIRRORED:
-        return _without(refusal(reason("mirrored")), remarks=remarks)
+        return Analysis(_without(refusal(reason("mirrored")), remarks=remarks), None)
     if loosely_held(len(pieces) - 1, record) or _loose(pieces):
-        return _without(LOOSE, remarks=remarks)
+        return Analysis(_without(LOOSE, remarks=remarks), None)
     changes = _changes(pieces, found_blows)
     offered = excitation(last.record)
     found = assess(last.solution.fit)
     verdict = before_fit(last.record, offered) or after_fit(last.solution.start, found, offered)
     if verdict.status in ("insufficient", "not_fixed"):
         unlike_a_car = any(each.code == "mismatch" for each in verdict.reasons)
-        return _without(LOOSE if changes and unlike_a_car else verdict, changes, remarks)
+        return Analysis(_without(LOOSE if changes and unlike_a_car else verdict, changes, remarks), None)
     trusted = not bends and offered.moving > TRUSTED_AFTER
     if trusted:
         remarks += (reason("handedness_trusted"),)
@@ -91,10 +104,10 @@ def estimate(ticks: Ticks, gnss: Gnss, *, noise: Noise | None = None) -> Mountin
     remarks += late(speed_lag, course_lag if bends else None)
     remarks += came_back([piece.solution.fit.R_va for piece in pieces])
     before_moving = offered.first_moving - fit.begin
-    return MountingEstimate(
+    known = MountingEstimate(
         status=verdict.status,
         method="whole-drive",
-        R_va=fit.R_va,
+        R_va=less_crown(fit.R_va, noise),
         covariance=found.covariance,
         progress=verdict.progress,
         observability=found.observability,
@@ -107,6 +120,7 @@ def estimate(ticks: Ticks, gnss: Gnss, *, noise: Noise | None = None) -> Mountin
         changes=changes,
         reasons=(*verdict.reasons, *remarks),
     )
+    return Analysis(known, fit)
 
 
 def _loose(pieces: list[Piece]) -> bool:

@@ -21,7 +21,7 @@ def mount(args: argparse.Namespace) -> int:
     from server.installations.result import mount_json
 
     drive = read_drive_file(args.drive)
-    result = mount_json(estimate_mounting(drive, method=args.method))
+    result = mount_json(estimate_mounting(drive, method=args.method, traffic_side=args.traffic_side))
     if args.json:
         print(json.dumps(result))
         return 0

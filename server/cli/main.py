@@ -78,6 +78,7 @@ def _add_file_commands(add: Add) -> None:
         "drive", type=Path, metavar="DRIVE", help="drive file; docs/device-protocol.md lists the formats"
     )
     mount.add_argument("--method", choices=METHODS, default="whole-drive")
+    mount.add_argument("--traffic-side", choices=("left", "right"), help="where the traffic keeps, if known")
     mount.add_argument("--json", action="store_true", help="print the contract's JSON")
 
     crash = add("crash", "crash:crash", "Find and reconstruct the crashes and other events of a drive file.")

@@ -15,18 +15,23 @@ from itertools import pairwise
 
 import structlog
 
-from nav_core.records import Gnss, MountingEstimate
+from nav_core.mounting.fusion import TripEvidence
+from nav_core.mounting.model import Noise, roads_of
+from nav_core.mounting.trips import Told
+from nav_core.records import Gnss
 from nav_core.signal import Ticks
 from server.installations.blank import blank_result
 from server.installations.result import mount_json
+from server.jobs import chapters as chapter
 from server.jobs.results import Results
 from server.jobs.situation import Situation
 from server.jobs.stretch import Piece, Stretch, assemble, newest
 from server.models import Assignment, Installation, MountingRevision, new_id
 
-Estimator = Callable[[Ticks, Gnss], MountingEstimate]
+Estimator = Callable[[Ticks, Gnss, TripEvidence | None, Noise], Told]
+"""A stretch of data, the evidence before it, and what is known of the roads."""
 
-ALGORITHM = "whole-drive/1"
+ALGORITHM = "whole-drive/2"
 EAGER_S = 20.0
 CALM_S = 60.0
 SLOW_S = 120.0
@@ -87,6 +92,10 @@ class Mountings:
             row = self._row_at(_utc(middle), begin_s=boots[piece.boot].unix_s(piece.t_first_s))
             row.unestimated_s += piece.t_last_s - piece.t_first_s
             row.unestimated_moving_s += piece.digest.moving_s
+            known = chapter.read(row.evidence, ALGORITHM)
+            still = chapter.reopened(known, boots[piece.boot].unix_s(piece.t_first_s))
+            if len(still) < len(row.evidence):
+                row.evidence = chapter.written(still, ALGORITHM)
             self._results.put(row)
 
     def estimate_due(self, *, all_pending: bool) -> None:
@@ -126,6 +135,7 @@ class Mountings:
             input_sha256="",
             unestimated_s=0.0,
             unestimated_moving_s=0.0,
+            evidence=[],
         )
         self.rows.append(row)
         self.rows.sort(key=lambda other: other.began_at)
@@ -146,6 +156,7 @@ class Mountings:
 
     def _stretch(self, row: Installation) -> Stretch | None:
         since, until = self._bounds(row)
+        since = max([since, *(known.until_s for known in chapter.read(row.evidence, ALGORITHM))])
         boots = self._situation.boots
         inside = [
             piece
@@ -160,13 +171,15 @@ class Mountings:
         if stretch is None:
             row.unestimated_s = row.unestimated_moving_s = 0.0
             return
-        estimate = self._run(stretch)
+        told = self._run(row, stretch)
+        estimate = None if told is None else told.estimate
         moves = [] if estimate is None else [(stretch.unix_s(c.t), c.angle) for c in estimate.changes]
         if moves and row.beginning == "moved" and moves[0][0] - row.began_at.timestamp() < SAME_MOVE_S:
             self._shift_beginning(row, moves.pop(0)[0])
-            estimate = self._run(stretch.between(*self._bounds(row)))
+            stretch = stretch.between(*self._bounds(row))
+            told = self._run(row, stretch)
         if not moves:
-            self._record(row, estimate, stretch)
+            self._record(row, told, stretch)
             return
         parts = [row, *(self._moved(row, unix, angle) for unix, angle in moves)]
         for earlier, later in pairwise(parts):
@@ -174,7 +187,7 @@ class Mountings:
             earlier.ended_at = later.began_at
         for part in parts:
             own = stretch.between(*self._bounds(part))
-            self._record(part, self._run(own), own, keep_ready=part is row)
+            self._record(part, self._run(part, own), own, keep_ready=part is row)
 
     def _moved(self, row: Installation, unix_s: float, angle: float) -> Installation:
         moved = self._add("moved", _utc(unix_s), row.vehicle_id)
@@ -189,37 +202,51 @@ class Mountings:
         row.began_at = before.ended_at = _utc(unix_s)
         self._results.put(before)
 
-    def _run(self, stretch: Stretch) -> MountingEstimate | None:
+    def _run(self, row: Installation, stretch: Stretch) -> Told | None:
         if stretch.ticks.index.size == 0:
             return None
+        past = chapter.past(chapter.read(row.evidence, ALGORITHM))
+        side = self._situation.traffic_sides.get(row.vehicle_id or "")
         try:
-            return self._estimator(stretch.ticks, stretch.gnss)
+            return self._estimator(stretch.ticks, stretch.gnss, past, roads_of(side))
         except (ValueError, ArithmeticError):
             # Typed errors of nav_core and of linear algebra: bad data must not keep the batches from being worked off.
             log.exception("estimate failed", device_id=self._situation.device.id, input_sha256=stretch.input_sha256)
             return None
 
-    def _record(
-        self, row: Installation, estimate: MountingEstimate | None, stretch: Stretch, *, keep_ready: bool = False
-    ) -> None:
+    def _record(self, row: Installation, told: Told | None, stretch: Stretch, *, keep_ready: bool = False) -> None:
         row.unestimated_s = row.unestimated_moving_s = 0.0
         self._results.put(row)
-        if estimate is None:
+        if told is None:
             return
         self._results.estimates += 1
+        estimate = told.estimate
         result = mount_json(estimate)
-        self._revise(row, result, estimate.progress, stretch)
+        input_sha256 = self._close_chapter(row, told.own, stretch)
+        self._revise(row, result, estimate.progress, stretch, input_sha256)
         if row.beginning == "manual":
             return  # said by somebody who looked; the estimate stands beside it as a revision
         if keep_ready and row.status == "ready" and estimate.status != "ready":
             return  # less data before the move than the estimate of then had
         row.result, row.status, row.progress = result, estimate.status, estimate.progress
-        row.algorithm, row.input_sha256, row.updated_at = ALGORITHM, stretch.input_sha256, self._now
+        row.algorithm, row.input_sha256, row.updated_at = ALGORITHM, input_sha256, self._now
         self._results.announce(
             "installation", row.vehicle_id, installation_id=row.id, status=row.status, percent=result["percent"]
         )
 
-    def _revise(self, row: Installation, result: dict[str, object], progress: float, stretch: Stretch) -> None:
+    def _close_chapter(self, row: Installation, own: TripEvidence | None, stretch: Stretch) -> str:
+        """Keep a stretch that is long enough as evidence; gives the hash of all data behind the estimate."""
+        known = chapter.read(row.evidence, ALGORITHM)
+        input_sha256 = chapter.input_of(known, stretch.input_sha256)
+        if own is not None and stretch.length_s >= chapter.CHAPTER_S:
+            begin = known[-1].until_s if known else stretch.unix_s(float(stretch.ticks.t[0]))
+            known.append(chapter.Chapter(begin, stretch.end_unix_s, own, stretch.input_sha256))
+            row.evidence = chapter.written(known, ALGORITHM)
+        return input_sha256
+
+    def _revise(
+        self, row: Installation, result: dict[str, object], progress: float, stretch: Stretch, input_sha256: str
+    ) -> None:
         data_at = _utc(stretch.end_unix_s)
         status = str(result["status"])
         last = self._sources.last_revision(row.id)
@@ -238,7 +265,7 @@ class Mountings:
                 progress=progress,
                 result=result,
                 algorithm=ALGORITHM,
-                input_sha256=stretch.input_sha256,
+                input_sha256=input_sha256,
             )
         )
 

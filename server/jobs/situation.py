@@ -5,11 +5,13 @@ from __future__ import annotations
 import datetime as dt
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
-from sqlalchemy import func, select
-from sqlalchemy.orm import Session
+from sqlalchemy import func, or_, select
+from sqlalchemy.orm import Session, undefer
 
+from nav_core.mounting.model import TrafficSide
 from nav_core.typing import Floats
 from server.jobs.clock import PAIRS
 from server.jobs.digest import decode
@@ -24,6 +26,7 @@ from server.models import (
     Installation,
     MountingRevision,
     Trip,
+    Vehicle,
 )
 
 CHUNK = 256
@@ -41,6 +44,8 @@ class Situation:
     installations: list[Installation]
     assignments: Sequence[Assignment]
     last_arrival: dt.datetime | None
+    traffic_sides: dict[str, TrafficSide | None]
+    """By vehicle: which side of the road it drives on, where known."""
 
 
 def read_situation(session: Session, device_id: str, limit: int) -> Situation | None:
@@ -51,7 +56,15 @@ def read_situation(session: Session, device_id: str, limit: int) -> Situation | 
     if device is None:
         return None
     due = select(Batch).where(Batch.device_id == device_id, Batch.processed_at.is_(None))
-    installations = select(Installation).where(Installation.device_id == device_id).order_by(Installation.began_at)
+    installations = (
+        select(Installation)
+        .where(Installation.device_id == device_id)
+        .order_by(Installation.began_at)
+        .options(undefer(Installation.evidence))
+    )
+    carried = select(Installation.vehicle_id).where(Installation.device_id == device_id)
+    carrying = select(Assignment.vehicle_id).where(Assignment.device_id == device_id)
+    vehicles = select(Vehicle.id, Vehicle.traffic_side).where(or_(Vehicle.id.in_(carried), Vehicle.id.in_(carrying)))
     assignments = select(Assignment).where(Assignment.device_id == device_id).order_by(Assignment.began_at)
     return Situation(
         version=state.version if state else None,
@@ -62,6 +75,7 @@ def read_situation(session: Session, device_id: str, limit: int) -> Situation | 
         installations=list(session.scalars(installations)),
         assignments=session.scalars(assignments).all(),
         last_arrival=session.scalar(select(func.max(Batch.received_at)).where(Batch.device_id == device_id)),
+        traffic_sides={vehicle_id: cast("TrafficSide | None", side) for vehicle_id, side in session.execute(vehicles)},
     )
 
 

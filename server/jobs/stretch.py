@@ -60,6 +60,11 @@ class Stretch:
     input_sha256: str
 
     @property
+    def length_s(self) -> float:
+        """Of the data on the axis, pauses left out."""
+        return self.ticks.index.size / self.ticks.rate
+
+    @property
     def end_unix_s(self) -> float:
         """UTC of the last data."""
         last = self.segments[-1]

@@ -20,7 +20,7 @@ from sqlalchemy import delete, insert, select
 from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
-from nav_core.mounting import whole_drive
+from nav_core.mounting.trips import told_of
 from server.database import Database
 from server.formats.columns import Columns
 from server.formats.drive import to_drive
@@ -74,7 +74,7 @@ class Read:
 
 
 def bring_up_to_date(
-    database: Database, store: BlobStore, device_id: str, *, clock: Clock, estimator: Estimator = whole_drive.estimate
+    database: Database, store: BlobStore, device_id: str, *, clock: Clock, estimator: Estimator = told_of
 ) -> Outcome:
     """Work off a device's next batches, and its review when that is due."""
     known: dict[str, Read] = {}

@@ -38,6 +38,8 @@ class Installation(Base):
     unestimated_s: Mapped[float] = mapped_column(default=0.0)
     """Length of the data that came since the last estimate, and of the driving in it."""
     unestimated_moving_s: Mapped[float] = mapped_column(default=0.0)
+    evidence: Mapped[list[Any]] = mapped_column(default=list, deferred=True)
+    """What older data said, a chapter each (`server.jobs.chapters`); loaded by the worker alone."""
 
 
 class MountingRevision(Base):

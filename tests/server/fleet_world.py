@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from sqlalchemy import select
 
+from nav_core.mounting.trips import Told
 from nav_core.records import Drive, Gnss, Inertial, MountingChange, MountingEstimate, Reason
 from server.devices.schemas import DeviceIn
 from server.devices.service import register
@@ -84,7 +85,12 @@ class World:
         return sum(batch.processed_at is None for batch in self.rows(Batch))
 
 
-def gravity_estimator(ticks, gnss) -> MountingEstimate:
+def gravity_estimator(ticks, gnss, _past, _noise) -> Told:
+    """`by_gravity`, of one stretch at a time."""
+    return Told(by_gravity(ticks, gnss), None, with_past=False)
+
+
+def by_gravity(ticks, gnss) -> MountingEstimate:
     """Knows which way is down, ready after a minute, and sees the box being turned upside down."""
     if ticks.index.size < 100:
         return MountingEstimate("insufficient", "whole-drive", reasons=(Reason("short", "Drive on."),))

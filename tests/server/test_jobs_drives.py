@@ -7,6 +7,7 @@ import pytest
 from fleet_world import World, cut
 
 from nav_core.mounting import whole_drive
+from nav_core.mounting.trips import told_of
 from nav_core.rotation import angle_between
 from nav_core.signal import decimate
 from nav_core.simulate import Move, Scenario, simulate
@@ -16,7 +17,7 @@ from server.models import Change, Installation, Trip
 @pytest.fixture
 def world(database, settings, clock, organisation) -> World:
     world = World(database, settings, clock, organisation)
-    world.estimator = whole_drive.estimate
+    world.estimator = told_of
     return world
 
 

@@ -297,7 +297,7 @@ def test_a_batch_without_accelerations_or_without_fixes_is_taken(world):
 
 
 def test_an_estimator_that_fails_does_not_keep_the_batches(world):
-    def broken(_ticks, _gnss):
+    def broken(_ticks, _gnss, _past, _noise):
         raise np.linalg.LinAlgError("singular")
 
     world.estimator = broken
@@ -433,9 +433,9 @@ def test_without_utc_the_time_of_arrival_stands_in(world, clock):
 def test_estimates_come_at_a_cadence_and_the_rest_when_the_box_is_silent(world, clock):
     runs = []
 
-    def counted(ticks, gnss):
+    def counted(ticks, gnss, past, noise):
         runs.append(ticks.t[-1])
-        return world_estimator(ticks, gnss)
+        return world_estimator(ticks, gnss, past, noise)
 
     world_estimator, world.estimator = world.estimator, counted
     for k, batch in enumerate(cut(drive_of(Leg(305, 10.0)))):
@@ -523,9 +523,9 @@ def test_a_long_backlog_is_worked_off_in_rounds(world):
 def test_the_estimate_uses_the_newest_window_only(world):
     spans = []
 
-    def spanned(ticks, gnss):
+    def spanned(ticks, gnss, past, noise):
         spans.append(ticks.t[-1] - ticks.t[0])
-        return world_estimator(ticks, gnss)
+        return world_estimator(ticks, gnss, past, noise)
 
     world_estimator, world.estimator = world.estimator, spanned
     for hour in range(3):
