@@ -5,7 +5,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 PYTEST_WORKERS ?= 2
 
-.PHONY: help setup run test check bench vendor lock clean
+.PHONY: help setup run test check bench thesis-figures vendor lock clean
 .DEFAULT_GOAL := help
 
 help:  ## This list
@@ -30,6 +30,9 @@ check: setup node_modules/ready  ## Lint, types, architecture, JavaScript, migra
 
 bench: setup  ## Speed of the numerics and of the ingest path
 	$(BIN)/python benchmarks/run.py
+
+thesis-figures: setup  ## The thesis' figures and tables in kind: docs/thesis-results.md
+	$(BIN)/python benchmarks/thesis_figures.py
 
 vendor: node_modules/ready  ## Copy the pinned front-end libraries into web/vendor
 	node scripts/vendor.mjs
