@@ -5,7 +5,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 PYTEST_WORKERS ?= 2
 
-.PHONY: help setup run test check bench bench-mounting bench-crash vendor lock clean bench-moved coverage test-faults
+.PHONY: help setup run test check bench bench-mounting bench-crash vendor lock clean bench-moved coverage test-faults thesis-figures
 .DEFAULT_GOAL := help
 
 help:  ## This list
@@ -53,6 +53,9 @@ coverage: setup  ## Lines of nav_core that its tests reach, at least 97 %; slow 
 	NUMBA_DISABLE_JIT=1 COVERAGE_FILE=.coverage.plain $(COVER) -k "$(KERNELS)"
 	$(BIN)/coverage combine --rcfile=/dev/null .coverage.compiled .coverage.plain
 	$(BIN)/coverage report --rcfile=/dev/null --skip-covered --show-missing --fail-under=97
+
+thesis-figures: setup  ## The thesis' figures and tables in kind: docs/thesis-results.md
+	$(BIN)/python benchmarks/thesis_figures.py
 
 vendor: node_modules/ready  ## Copy the pinned front-end libraries into web/vendor
 	node scripts/vendor.mjs

@@ -13,6 +13,7 @@ from tempfile import TemporaryDirectory
 
 from timing import Row, best, markdown, print_rows
 
+from nav_core.records import Drive
 from server.settings import set_numba_cache_dir
 
 PREFACE = """# Performance
@@ -56,7 +57,7 @@ def main() -> None:
 def service() -> list[Row]:
     """Mounting, conditioning and formats."""
     from nav_core.mounting import estimate_mounting, whole_drive
-    from nav_core.mounting.thesis import estimate_thesis
+    from nav_core.mounting.online_verdict import estimate as estimate_online
     from nav_core.signal import decimate
     from nav_core.simulate import Scenario, simulate
     from server.formats.columns import Columns
@@ -66,7 +67,6 @@ def service() -> list[Row]:
     batch = from_drive(simulate(Scenario(route="urban", duration=60.0), seed=1)[0])
     packed = batch.to_parquet()
     ticks = decimate(hour.inertial)
-    steps = hour.gnss.t.size
     with TemporaryDirectory() as folder:
         path = Path(folder) / "hour.parquet"
         write_drive_file(path, from_drive(hour))
@@ -83,11 +83,46 @@ def service() -> list[Row]:
                 best(lambda: estimate_mounting(read_drive_file(path)), repeat=3),
                 "s",
             ),
-            Row("thesis filter, 1 h at 4 Hz, per fix", 1e6 * best(lambda: estimate_thesis(hour)) / steps, "µs"),
+            Row("thesis filter, 1 h at 4 Hz, per fix", 1e6 * thesis_steps(hour), "µs"),
+            Row("online estimate, 1 h at 200 Hz with decimation", best(lambda: estimate_online(hour), repeat=2), "s"),
+            Row("online filters, 1000 boxes by one fix in one call", 1e3 * online_fleet(hour), "ms"),
             Row(
                 "Parquet batch of 60 s at 200 Hz to a drive", best(lambda: to_drive(Columns.from_parquet(packed))), "s"
             ),
         ]
+
+
+def thesis_steps(drive: Drive) -> float:
+    """Seconds for a step of the thesis' filter, over a whole drive."""
+    from nav_core.mounting.thesis import initial_states
+    from nav_core.mounting.thesis_kernel import filter_drive
+    from nav_core.mounting.thesis_model import CORRECTED, Tuning, measurement_vectors
+
+    steps = measurement_vectors(drive)
+    start = initial_states(steps, Tuning(), CORRECTED)[0]
+    return best(lambda: filter_drive(steps, *(a.copy() for a in start), Tuning(), CORRECTED)) / steps.t.size
+
+
+def online_fleet(drive: Drive, boxes: int = 1000) -> float:
+    """Seconds for one call that takes every box of a fleet past its next fix."""
+    import numpy as np
+
+    from nav_core.mounting.online import advance, begin, stack
+    from nav_core.mounting.online_kernel import run
+    from nav_core.mounting.online_model import Tuning
+    from nav_core.mounting.online_rows import HORIZON, ready_fixes, records_of, rows_of
+    from nav_core.mounting.online_stream import chunks_of
+
+    state = begin()
+    for chunk in chunks_of(drive, 60.0)[:5]:
+        state = advance(state, chunk)
+    later = chunks_of(drive, 60.0)[5]
+    record, _ = records_of(later.ticks, None, later.gnss)
+    since = float(record.fixes.t[20])
+    ready = ready_fixes(record.fixes, since, float(record.fixes.t[22]) + HORIZON)
+    rows, _ = rows_of(record, None, None, ready, state.lags, Tuning())
+    filters, first, last, stacked = stack([state.filters] * boxes, [rows[1:2]] * boxes)
+    return best(lambda: run(filters, stacked, first, last, Tuning(), np.zeros((0, 4))))
 
 
 if __name__ == "__main__":

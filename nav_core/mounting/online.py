@@ -63,7 +63,7 @@ ADAPTED_AFTER = 20.0
 ROUGHEST = 20.0
 """Most that noise is scaled by."""
 
-LAG_STEP = 0.1
+LAG_STEP = 0.15
 LONGEST_LAG = 2.5
 """Most that the lags move between two pieces, and their greatest value, s."""
 

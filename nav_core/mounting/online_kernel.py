@@ -79,6 +79,9 @@ COURSE_FLOOR = 1.0
 MOVING = 10
 """The first states move; the others are constants of the drive."""
 
+JERK_TIME = 1.0
+"""Acceleration and turn rate change by their own size in this time, s: the second order of a lag not yet known."""
+
 LOST = 1e4
 TRACK_ANEW = 100.0
 """Variance after missing data: (m/s)² and rad²."""
@@ -274,9 +277,9 @@ def receive(x: Floats, P: Floats, row: Floats, tuning: Tuning, scale: Floats, no
     else:
         three, h = np.array([SPEED, SPEED_ERROR, SPEED_LAG]), np.array([1.0, 1.0, -row[ACCELERATION]])
         nu = v - x[SPEED] - x[SPEED_ERROR] + row[ACCELERATION] * x[SPEED_LAG]
-        total += assimilate(
-            x, P, three, h, nu, (tuning.speed_white * scale[ALONG]) ** 2, tuning.limit, notes[OF_SPEED], spread
-        )
+        bend = (P[SPEED_LAG, SPEED_LAG] + x[SPEED_LAG] ** 2) * row[ACCELERATION] / JERK_TIME
+        r = (tuning.speed_white * scale[ALONG]) ** 2 + 0.5 * bend * bend
+        total += assimilate(x, P, three, h, nu, r, tuning.limit, notes[OF_SPEED], spread)
     if row[GPS_HEIGHT] == row[GPS_HEIGHT]:
         two, h = np.array([HEIGHT, HEIGHT_ERROR]), np.ones(2)
         nu = row[GPS_HEIGHT] - x[HEIGHT] - x[HEIGHT_ERROR]
@@ -290,7 +293,8 @@ def receive(x: Floats, P: Floats, row: Floats, tuning: Tuning, scale: Floats, no
         three, h = np.array([TRACK, ACROSS_ERROR, COURSE_LAG]), np.array([1.0, now, -w])
         nu = row[GPS_COURSE] - x[TRACK] - now * x[ACROSS_ERROR] + w * x[COURSE_LAG]
         nu -= 2.0 * np.pi * np.round(nu / (2.0 * np.pi))
-        r = (tuning.across_white * scale[ACROSS] * now) ** 2 + 1e-6
+        bend = (P[COURSE_LAG, COURSE_LAG] + x[COURSE_LAG] ** 2) * w / JERK_TIME
+        r = (tuning.across_white * scale[ACROSS] * now) ** 2 + 1e-6 + 0.5 * bend * bend
         total += assimilate(x, P, three, h, nu, r, tuning.limit, notes[OF_COURSE], spread)
     return total
 

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from nav_core.mounting import online_model as m
-from nav_core.mounting.online_kernel import CLIPPED, COURSE_FLOOR, FADE, FOLLOW, LOST, TRACK_ANEW
+from nav_core.mounting.online_kernel import CLIPPED, COURSE_FLOOR, FADE, FOLLOW, JERK_TIME, LOST, TRACK_ANEW
 from nav_core.mounting.online_model import GRAVITY, Filters, Tuning
 from nav_core.rotation import skew, wrap
 from nav_core.typing import Floats
@@ -99,6 +99,11 @@ def process_noise(row: Floats, F: Floats, u: Floats, f_along: float, tuning: Tun
     return Q + np.diag(diagonal)
 
 
+def second_order(x: Floats, P: Floats, lag: int, rate: float) -> float:
+    """Variance of what is quadratic in a lag, as far as it is still unknown or not yet in the reference."""
+    return 0.5 * float((P[lag, lag] + x[lag] ** 2) * rate / JERK_TIME) ** 2
+
+
 def measurements(row: Floats, R_va: Floats, tuning: Tuning, scale: Floats) -> list[tuple[int, Floats, float, float]]:
     """What a row says, in order: kind, row of H, measured less constant, variance."""
     out: list[tuple[int, Floats, float, float]] = []
@@ -148,7 +153,12 @@ def step(filters: Filters, row: Floats, tuning: Tuning) -> Filters:
     F, u, jacobian = transition(x, row, R_va, tuning)
     Q = process_noise(row, F, u, float(_three(row, m.FORCE, R_va)[0]), tuning, filters.scale[0])
     x, cov = F @ x + u, jacobian @ cov @ jacobian.T + Q
-    for kind, H, y, r in measurements(row, R_va, tuning, filters.scale[0]):
+    for kind, H, y, given in measurements(row, R_va, tuning, filters.scale[0]):
+        r = given
+        if kind == m.OF_SPEED and not row[m.STANDING]:
+            r += second_order(x, cov, m.SPEED_LAG, float(row[m.ACCELERATION]))
+        if kind == m.OF_COURSE:
+            r += second_order(x, cov, m.COURSE_LAG, float(row[m.TURN_RATE]))
         nu = y - H @ x
         nu = float(wrap(np.array(nu))) if kind == m.OF_COURSE else float(nu)
         S = float(H @ cov @ H) + r

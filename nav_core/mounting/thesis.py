@@ -73,7 +73,7 @@ class History(NamedTuple):
         Of the small rotation about the V axes, rad².  The factor 2 in 4.25 makes `a_A` the rotation vector
         to second order, so it is the block of P as it stands.
     largest_eigenvalue : ndarray, shape (n,)
-        Of ``n P / tr P`` (5.3), between 1 and n = 9, in the mixed SI units of the state; looked at every 5 s.
+        Of ``n P / tr P`` (5.3), between 1 and n = 9, in the mixed SI units of the state; looked at every 10 s.
     chi2 : ndarray, shape (n,)
         Squared normalised innovations of the row, summed over its seven measurements.
     """

@@ -18,7 +18,7 @@ from nav_core.typing import Flags, Floats, kernel
 N_STATES = 9
 N_MEASUREMENTS = 7
 
-EIGENVALUE_PERIOD = 5.0
+EIGENVALUE_PERIOD = 10.0
 """s between two looks at the eigenvalues, each of which costs several filter steps."""
 
 
@@ -103,6 +103,8 @@ def process_noise(P: Floats, v_x: float, omega: float, T: float, tuning: Tuning,
         speed = max(speed, tuning.floor_speed)
         attitude = max(attitude, tuning.floor_attitude)
         mounting = max(mounting, tuning.floor_mounting)
+    if tuning.steering:
+        speed = 1.0
     share = T / THESIS_PERIOD
     P[2, 2] += share * tuning.turn * speed * speed
     for i in range(3):
@@ -113,26 +115,29 @@ def process_noise(P: Floats, v_x: float, omega: float, T: float, tuning: Tuning,
 @kernel
 def predict(x: Floats, P: Floats, T: float, tuning: Tuning, errata: Errata) -> None:
     """Predict state and covariance over `T` (001 eqs. 4.14-4.17 with 4.46); `a_V` and `a_A` start at zero."""
-    omega = x[2]
     v_x = x[0]
+    omega = x[2] * v_x if tuning.steering else x[2]
     clockwise = 1.0 if errata.course else -1.0
     x[0] += T * x[1]
     x[5] = clockwise * omega * T
     # 4.50 as printed holds for the left error of a clockwise rate; the correction follows the sense of the rate.
     half = 0.5 * omega * T * (clockwise if errata.jacobian else 1.0)
     lever = clockwise * T if errata.jacobian else 0.0
+    lever_v = 0.0
+    if tuning.steering:
+        lever_v, lever = lever * x[2], lever * v_x
     for c in range(N_STATES):
+        P[5, c] += lever_v * P[0, c] + lever * P[2, c]
         P[0, c] += T * P[1, c]
         p, q = P[3, c], P[4, c]
         P[3, c] = p - half * q
         P[4, c] = half * p + q
-        P[5, c] += lever * P[2, c]
     for c in range(N_STATES):
+        P[c, 5] += lever_v * P[c, 0] + lever * P[c, 2]
         P[c, 0] += T * P[c, 1]
         p, q = P[c, 3], P[c, 4]
         P[c, 3] = p - half * q
         P[c, 4] = half * p + q
-        P[c, 5] += lever * P[c, 2]
     process_noise(P, v_x, omega, T, tuning, errata)
     for i in range(N_STATES):
         for j in range(i):
@@ -141,26 +146,36 @@ def predict(x: Floats, P: Floats, T: float, tuning: Tuning, errata: Errata) -> N
 
 
 @kernel
-def measurement_model(x: Floats, q_V: Floats, q_A: Floats, clockwise: float, h: Floats, H: Floats) -> None:
-    """Write ``h`` of 001 eqs. 4.55-4.62 and its Jacobian, at ``a_A = 0``, into `h` (7,) and `H` (7, 9)."""
-    R_tv, R_va = np.empty((3, 3)), np.empty((3, 3))
-    vector, turned, J = np.empty(3), np.empty(3), np.empty((3, 3))
+def measurement_model(
+    x: Floats, q_V: Floats, q_A: Floats, clockwise: float, steering: bool, h: Floats, H: Floats, work: Floats
+) -> None:
+    """Write ``h`` of 001 eqs. 4.55-4.62 and its Jacobian, at ``a_A = 0``, into `h` (7,) and `H` (7, 9).
+
+    With `steering` the third state is the curvature of 4.10.  `work` (12, 3) is scratch.
+    """
+    R_tv, R_va, J = work[:3], work[3:6], work[6:9]
+    vector, turned, back = work[9], work[10], work[11]
     rotation_of(q_V, R_tv)
     rotation_of(q_A, R_va)
-    a_V = x[3:6]
+    a_V, v_x = x[3:6], x[0]
+    omega = x[2] * v_x if steering else x[2]
+    # Derivatives of the turn rate and of the centripetal acceleration with respect to v_x and the third state.
+    rate_v, rate_w = (x[2], v_x) if steering else (0.0, 1.0)
+    across_v, across_w = clockwise * (omega + v_x * rate_v), clockwise * v_x * rate_w
     H[:] = 0.0
     # Gravity reaction in the vehicle and its derivative; the transposed small rotation is that of -a.
     vector[0], vector[1], vector[2] = 0.0, 0.0, -GRAVITY
-    small_rotation(-a_V, vector, turned, J)
+    back[0], back[1], back[2] = -a_V[0], -a_V[1], -a_V[2]
+    small_rotation(back, vector, turned, J)
     b0 = R_tv[0, 0] * turned[0] + R_tv[1, 0] * turned[1] + R_tv[2, 0] * turned[2] + x[1]
-    b1 = R_tv[0, 1] * turned[0] + R_tv[1, 1] * turned[1] + R_tv[2, 1] * turned[2] + clockwise * x[2] * x[0]
+    b1 = R_tv[0, 1] * turned[0] + R_tv[1, 1] * turned[1] + R_tv[2, 1] * turned[2] + clockwise * omega * v_x
     b2 = R_tv[0, 2] * turned[0] + R_tv[1, 2] * turned[1] + R_tv[2, 2] * turned[2]
     for i in range(3):
         x_a, y_a, z_a = R_va[0, i], R_va[1, i], R_va[2, i]
         h[i] = x_a * b0 + y_a * b1 + z_a * b2
-        H[i, 0] = y_a * clockwise * x[2]
+        H[i, 0] = y_a * across_v
         H[i, 1] = x_a
-        H[i, 2] = y_a * clockwise * x[0]
+        H[i, 2] = y_a * across_w
         for j in range(3):
             along = x_a * R_tv[j, 0] + y_a * R_tv[j, 1] + z_a * R_tv[j, 2]
             for c in range(3):
@@ -172,12 +187,12 @@ def measurement_model(x: Floats, q_V: Floats, q_A: Floats, clockwise: float, h: 
         vector[i] = R_tv[i, 0]
     small_rotation(a_V, vector, turned, J)
     for i in range(3):
-        h[3 + i] = x[0] * turned[i]
+        h[3 + i] = v_x * turned[i]
         H[3 + i, 0] = turned[i]
         for c in range(3):
-            H[3 + i, 3 + c] = x[0] * J[i, c]
-    h[6] = x[2]
-    H[6, 2] = 1.0
+            H[3 + i, 3 + c] = v_x * J[i, c]
+    h[6] = omega
+    H[6, 0], H[6, 2] = rate_v, rate_w
 
 
 @kernel
@@ -188,25 +203,33 @@ def assimilate(y: float, r: float, h: float, row: Floats, dx: Floats, P: Floats,
     """
     innovation = y - h
     variance = r
-    for i in range(N_STATES):
-        projected = 0.0
-        for j in range(N_STATES):
-            projected += P[i, j] * row[j]
-        spread[i] = projected
-        variance += row[i] * projected
-        innovation -= row[i] * dx[i]
+    spread[:] = 0.0
+    for j in range(N_STATES):
+        if row[j] != 0.0:
+            for i in range(N_STATES):
+                spread[i] += P[j, i] * row[j]
+            innovation -= row[j] * dx[j]
+    for j in range(N_STATES):
+        variance += row[j] * spread[j]
     scale = 1.0 / variance
     for i in range(N_STATES):
-        dx[i] += spread[i] * scale * innovation
+        gain = spread[i] * scale
+        dx[i] += gain * innovation
         for j in range(N_STATES):
-            P[i, j] -= spread[i] * spread[j] * scale
+            P[i, j] -= gain * spread[j]
     return innovation * innovation * scale
 
 
 @kernel
-def update(x: Floats, P: Floats, y: Floats, r: Floats, used: Flags, h: Floats, H: Floats, errata: Errata) -> float:
-    """Update state and covariance with the measurements `used` (001 eqs. 4.18-4.23); returns their chi square."""
-    dx, spread = np.zeros(N_STATES), np.empty(N_STATES)
+def update(
+    x: Floats, P: Floats, y: Floats, r: Floats, used: Flags, h: Floats, H: Floats, errata: Errata, work: Floats
+) -> float:
+    """Update state and covariance with the measurements `used` (001 eqs. 4.18-4.23); returns their chi square.
+
+    `work` (2, 9) is scratch.
+    """
+    dx, spread = work[0], work[1]
+    dx[:] = 0.0
     before = P if errata.covariance else P.copy()
     chi2 = 0.0
     for i in range(N_MEASUREMENTS):
@@ -266,6 +289,7 @@ def filter_drive(
     covariance = np.full((n, 3, 3), np.nan)
     largest, chi2 = np.full(n, np.nan), np.full(n, np.nan)
     h, H = np.empty(N_MEASUREMENTS), np.zeros((N_MEASUREMENTS, N_STATES))
+    triads, corrections = np.empty((12, 3)), np.empty((2, N_STATES))
     y, r, used = np.empty(N_MEASUREMENTS), np.empty(N_MEASUREMENTS), np.ones(N_MEASUREMENTS, dtype=np.bool_)
     r[:3], r[3:6], r[6] = tuning.accelerometer, tuning.speed, tuning.turn_rate
     clockwise = 1.0 if errata.course else -1.0
@@ -276,10 +300,10 @@ def filter_drive(
             restart_vehicle(x, P, q_V, velocity, speed)
         else:
             predict(x, P, steps.period[k], tuning, errata)
-        measurement_model(x, q_V, q_A, clockwise, h, H)
+        measurement_model(x, q_V, q_A, clockwise, tuning.steering, h, H, triads)
         y[:3], y[3:6], y[6] = steps.f[k], velocity, steps.turn_rate[k]
         used[6] = steps.turning[k]
-        chi2[k] = update(x, P, y, r, used, h, H, errata)
+        chi2[k] = update(x, P, y, r, used, h, H, errata, corrections)
         move_references(x, P, q_V, q_A, errata)
         if errata.forward and x[0] < 0.0:
             x[0] = 0.0
@@ -292,6 +316,12 @@ def filter_drive(
         if steps.t[k] >= next_look:
             eigenvalue = N_STATES * np.linalg.eigvalsh(P)[-1] / trace
             next_look = steps.t[k] + EIGENVALUE_PERIOD
-        out_A[k], out_V[k], motion[k], covariance[k] = q_A, q_V, x[:3], P[6:9, 6:9]
+        for i in range(4):
+            out_A[k, i], out_V[k, i] = q_A[i], q_V[i]
+        motion[k, 0], motion[k, 1] = x[0], x[1]
+        motion[k, 2] = x[0] * x[2] if tuning.steering else x[2]
+        for i in range(3):
+            for j in range(3):
+                covariance[k, i, j] = P[6 + i, 6 + j]
         largest[k] = eigenvalue
     return n, out_A, out_V, motion, covariance, largest, chi2

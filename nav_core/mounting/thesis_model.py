@@ -68,6 +68,9 @@ class Tuning(NamedTuple):
     """Least turn rate that 4.63 is fed with for a_A, rad/s (correction): keeps its covariance from dying."""
     longest_step: float = 5.0
     """s; after a longer gap the corrected filter forgets the vehicle's state and keeps the mounting."""
+    steering: bool = False
+    """The third state is the curvature x_steer of 4.10, 1/m, with ``omega_z = v_x x_steer``, as in its source [8];
+    `turn` is its variance per step, 1/m², so that the noise of omega_z is that of 4.63."""
 
 
 class Errata(NamedTuple):

@@ -32,7 +32,8 @@ def small_derivative(a: Floats, v: Floats) -> Floats:
 def predicted(x: Floats, P: Floats, T: float, tuning: Tuning, errata: Errata) -> tuple[Floats, Floats]:
     """State and covariance over `T` (001 eqs. 4.14-4.17, 4.46-4.51, 4.63-4.70)."""
     sense = 1.0 if errata.course else -1.0
-    v_x, omega = x[0], x[2]
+    v_x = x[0]
+    omega = v_x * x[2] if tuning.steering else x[2]
     half = 0.5 * omega * T * (sense if errata.jacobian else 1.0)
     F = np.eye(9)
     F[0, 1] = T
@@ -42,8 +43,12 @@ def predicted(x: Floats, P: Floats, T: float, tuning: Tuning, errata: Errata) ->
     following = F @ x + L
     if errata.jacobian:
         F[5, 2] = sense * T
+        if tuning.steering:
+            F[5, [0, 2]] = sense * T * x[2], sense * T * v_x
     floors = (tuning.floor_speed, tuning.floor_attitude, tuning.floor_mounting) if errata.floor else (0.0, 0.0, 0.0)
     g_turn, g_V, g_A = (max(abs(g), floor) for g, floor in zip((v_x, omega, omega), floors, strict=True))
+    if tuning.steering:
+        g_turn = 1.0
     share = T / THESIS_PERIOD
     Q = np.diag([0.0, 0.0, share * tuning.turn, *[share * tuning.attitude] * 3, *[share * tuning.mounting] * 3])
     Q[:2, :2] = tuning.acceleration * np.array([[T**3 / 3.0, T**2 / 2.0], [T**2 / 2.0, T]])
@@ -51,8 +56,16 @@ def predicted(x: Floats, P: Floats, T: float, tuning: Tuning, errata: Errata) ->
     return following, F @ P @ F.T + G @ Q @ G.T
 
 
-def measured(x: Floats, R_tv: Floats, R_va: Floats, errata: Errata) -> tuple[Floats, Floats]:
-    """``h`` (7,) of 001 eqs. 4.55-4.62 at ``a_A = 0`` and its Jacobian (7, 9)."""
+def measured(x: Floats, R_tv: Floats, R_va: Floats, errata: Errata, *, steering: bool) -> tuple[Floats, Floats]:
+    """``h`` (7,) of 001 eqs. 4.55-4.62 at ``a_A = 0`` and its Jacobian (7, 9); with `steering`, that of 4.10."""
+    if steering:
+        # The chain rule through omega_z = v_x x_steer.
+        inner = np.eye(9)
+        inner[2, [0, 2]] = x[2], x[0]
+        turning = x.copy()
+        turning[2] = x[0] * x[2]
+        inside = measured(turning, R_tv, R_va, errata, steering=False)
+        return inside[0], inside[1] @ inner
     sense = 1.0 if errata.course else -1.0
     v_x, a_x, omega, a_V = x[0], x[1], x[2], x[3:6]
     gravity = -GRAVITY * DOWN
@@ -108,7 +121,7 @@ def filter_reference(
             x, cov, R_tv = restarted(cov, velocity, speed)
         else:
             x, cov = predicted(x, cov, float(steps.period[k]), tuning, errata)
-        h, H = measured(x, R_tv, R_va, errata)
+        h, H = measured(x, R_tv, R_va, errata, steering=tuning.steering)
         used: Flags = np.append(np.ones(6, dtype=np.bool_), steps.turning[k])
         e = np.concatenate([steps.f[k], velocity, steps.turn_rate[k : k + 1]]) - h
         x, cov, chi2[k] = updated(x, cov, e[used], H[used], r[used], errata)
@@ -124,6 +137,8 @@ def filter_reference(
                 x, cov, R_tv = restarted(cov, velocity, speed)
         turns.append(R_va)
         motion[k], mounting[k] = x[:3], cov[6:, 6:]
+        if tuning.steering:
+            motion[k, 2] *= x[0]
     return Rotation.from_matrix(np.array(turns)).as_quat(), motion, mounting, chi2
 
 

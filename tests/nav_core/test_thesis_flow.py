@@ -18,8 +18,9 @@ from nav_core.mounting.thesis_flow import (
     settled,
 )
 from nav_core.mounting.thesis_model import GRAVITY, MOVING, Steps
+from nav_core.mounting.thesis_moved import watch
 from nav_core.rotation import angle_between
-from nav_core.simulate import Scenario, simulate
+from nav_core.simulate import Move, Scenario, simulate
 
 RATE = 4.0
 IDENTITY = np.array([0.0, 0.0, 0.0, 1.0])
@@ -250,3 +251,30 @@ def test_standing_leaves_the_yaw_unknown():
     assert yaw[1] < 20.0
     for history in (standing, town):
         assert np.all((history.largest_eigenvalue >= 1.0) & (history.largest_eigenvalue <= 9.0))
+
+
+# --- a moved box (001 §5.5) ------------------------------------------------------------------------------------
+
+
+def test_periodic_starts_find_a_moved_box_and_leave_a_fixed_one_alone():
+    level = {"slope": 0.0, "crown": 0.0, "bank": 0.0, "accel_bias": 0.0, "accel_rate": 50.0}
+    still, _ = simulate(Scenario(route="urban", duration=900.0, **level), seed=5)
+    seen = watch(still)
+    assert len(seen.starts) == 3
+    assert sum(start.R_va is not None for start in seen.starts) >= 2
+    assert seen.changes == ()
+    moves = (Move(t=300.0, turn=(0.0, 0.0, np.radians(40.0))),)
+    moved, truth = simulate(Scenario(route="urban", duration=900.0, moves=moves, **level), seed=5)
+    found = watch(moved, memory=truth.mountings[0][1])
+    assert len(found.changes) == 1
+    assert found.changes[0].t > 300.0
+    assert np.degrees(found.changes[0].angle) == pytest.approx(40.0, abs=12.0)
+    assert np.degrees(angle_between(found.R_va, truth.R_va)) < 12.0
+
+
+def test_a_watch_needs_a_passed_test():
+    drive, _ = simulate(Scenario(route="static", duration=60.0, accel_rate=50.0), seed=1)
+    memory = np.eye(3)
+    seen = watch(drive, memory=memory)
+    assert [start.R_va for start in seen.starts] == [None]
+    assert seen.R_va is memory

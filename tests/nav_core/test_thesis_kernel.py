@@ -18,9 +18,11 @@ small = st.tuples(*[st.floats(-0.5, 0.5)] * 3).map(np.array)
 quaternions = st.tuples(*[st.floats(-1.0, 1.0)] * 4).map(np.array).filter(lambda q: np.linalg.norm(q) > 0.1)
 
 
-def model(x, q_V, q_A, sense=1.0):
+def model(x, q_V, q_A, sense=1.0, *, steering=False):
     h, H = np.empty(7), np.zeros((7, 9))
-    thesis_kernel.measurement_model(x, q_V / np.linalg.norm(q_V), q_A / np.linalg.norm(q_A), sense, h, H)
+    thesis_kernel.measurement_model(
+        x, q_V / np.linalg.norm(q_V), q_A / np.linalg.norm(q_A), sense, steering, h, H, np.empty((12, 3))
+    )
     return h, H
 
 
@@ -91,13 +93,15 @@ def test_transport_is_the_derivative_of_what_is_left_of_a_small_rotation(a):
 
 
 @compiled
-@given(st.floats(-20.0, 20.0), st.floats(-3.0, 3.0), st.floats(-0.6, 0.6), small, quaternions, quaternions)
-def test_measurement_jacobian_against_differences(v, a, w, a_V, q_V, q_A):
-    x = np.array([v, a, w, *a_V, 0.0, 0.0, 0.0])
-    h, H = model(x, q_V, q_A)
+@given(
+    st.floats(-20.0, 20.0), st.floats(-3.0, 3.0), st.floats(-0.6, 0.6), small, quaternions, quaternions, st.booleans()
+)
+def test_measurement_jacobian_against_differences(v, a, w, a_V, q_V, q_A, steering):
+    x = np.array([v, a, 0.1 * w if steering else w, *a_V, 0.0, 0.0, 0.0])
+    h, H = model(x, q_V, q_A, steering=steering)
     q_V, q_A = q_V / np.linalg.norm(q_V), q_A / np.linalg.norm(q_A)
     plain = thesis_reference.measured(
-        x, Rotation.from_quat(q_V).as_matrix(), Rotation.from_quat(q_A).as_matrix(), CORRECTED
+        x, Rotation.from_quat(q_V).as_matrix(), Rotation.from_quat(q_A).as_matrix(), CORRECTED, steering=steering
     )
     assert np.allclose(h, plain[0], atol=1e-12)
     assert np.allclose(H, plain[1], atol=1e-11)
@@ -105,7 +109,7 @@ def test_measurement_jacobian_against_differences(v, a, w, a_V, q_V, q_A):
     def moved(d):
         q = q_A.copy()
         thesis_kernel.turn_reference(d[6:], q)
-        return model(x + np.append(d[:6], np.zeros(3)), q_V, q)[0]
+        return model(x + np.append(d[:6], np.zeros(3)), q_V, q, steering=steering)[0]
 
     step = 1e-6
     differences = np.transpose([(moved(d) - moved(-d)) / (2.0 * step) for d in step * np.eye(9)])
