@@ -9,6 +9,7 @@ of the accelerometer and a rough ride raise suspicions; they do not survive that
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -25,6 +26,8 @@ from nav_core.typing import Floats
 
 LEAST_SIDE = 25.0
 """Shortest side of a move that can be judged, s of record."""
+
+LEAST_TICKS = 50
 
 LEAST_MOVING = 30.0
 """A change of heading alone needs this much driving on either side, s."""
@@ -135,7 +138,33 @@ def pieces_of(record: Record, noise: Noise, *, depth: int = MAX_DEPTH) -> list[P
         if cut is not None:
             first, second = cut
             return pieces_of(first, noise, depth=depth - 1) + pieces_of(second, noise, depth=depth - 1)
+        apart = None if when is None else _between_trips(record, noise)
+        if apart is not None:
+            first, second = apart
+            return pieces_of(first, noise, depth=depth - 1) + pieces_of(second, noise, depth=depth - 1)
     return [whole]
+
+
+def _between_trips(record: Record, noise: Noise) -> tuple[Record, Record] | None:
+    """Both sides of the first pause over which neighbouring trips differ.
+
+    A box that is turned and turned back leaves no step that divides the whole record in two.
+    """
+    t = record.fixes.t
+    pauses = np.flatnonzero(np.diff(t) > PAUSE)
+    if pauses.size < 2:
+        return None
+    noise = replace(noise, bias=max(noise.bias, STRANGER))
+    edges = np.concatenate([[t[0]], t[pauses + 1]])
+    ends = np.concatenate([t[pauses], [t[-1]]])
+    trips = [between(record, begin, end) for begin, end in zip(edges, ends, strict=True)]
+    trips = [trip for trip in trips if excitation(trip).moving > LEAST_MOVING and trip.t.size >= LEAST_TICKS]
+    solutions = [solve(trip, noise) for trip in trips]
+    for number, (one, other) in enumerate(pairwise(trips)):
+        if _differ((one, other), solutions[number], solutions[number + 1]):
+            when = float(other.fixes.t[0])
+            return between(record, t[0], np.nextafter(when, t[0])), between(record, when, t[-1])
+    return None
 
 
 def _confirmed(record: Record, when: float, noise: Noise) -> tuple[Record, Record] | None:
@@ -162,7 +191,7 @@ def _sides(record: Record, when: float) -> tuple[Record, Record] | None:
     if when - t[0] < LEAST_SIDE or t[-1] - when < LEAST_SIDE:
         return None
     sides = between(record, t[0], when), between(record, when, t[-1])
-    return sides if all(side.fixes.t.size >= 5 and side.t.size >= 50 for side in sides) else None
+    return sides if all(side.fixes.t.size >= 5 and side.t.size >= LEAST_TICKS for side in sides) else None
 
 
 def _differ(sides: tuple[Record, Record], before: Solution, after: Solution) -> bool:

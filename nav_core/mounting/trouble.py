@@ -21,7 +21,7 @@ from nav_core.mounting.quality import excitation, fits_a_car, reason
 from nav_core.mounting.refine import HUBER, Fit, refine, weigh
 from nav_core.mounting.reversing import distances, reversals
 from nav_core.mounting.solution import EXCERPT, Solution, excerpt
-from nav_core.mounting.stretch import Fixes, Record, Span
+from nav_core.mounting.stretch import FOLLOW_SPEED, Fixes, Record, Span
 from nav_core.records import Gnss, Reason
 from nav_core.rotation import angle_between
 from nav_core.signal import KERNEL_TICKS, Ticks
@@ -57,7 +57,7 @@ AROUND_JUMP = 5.0
 """Left out around a jump back of the box clock, s."""
 
 STANDING = 0.3
-TRAVELLING = 6.0
+TRAVELLING = 5.0
 """m/s."""
 
 LEAST_AT_REST = 15.0
@@ -161,7 +161,7 @@ def wrong_unit(ticks: Ticks) -> Reason | None:
             return reason("wrong_unit", name)
     if middle < 0.5 * GRAVITY and flicker > 0.5 * FLICKER:
         return reason("no_gravity")
-    return reason("wrong_unit", f"numbers {middle / GRAVITY:.3g} times too large")
+    return reason("wrong_unit", f"numbers {float(f'{middle / GRAVITY:.2g}'):g} times as large")
 
 
 def unshaken(ticks: Ticks, fixes: Fixes) -> tuple[Span, ...]:
@@ -188,10 +188,13 @@ def unshaken(ticks: Ticks, fixes: Fixes) -> tuple[Span, ...]:
     if at_rest.size < LEAST_AT_REST * ticks.rate:
         return ()
     quiet = QUIET * float(np.median(at_rest))
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], (speed > TRAVELLING).astype(np.int8), [0]])))
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], (speed > FOLLOW_SPEED).astype(np.int8), [0]])))
     spans: list[Span] = []
     for first, after in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
-        if t[after - 1] - t[first] > LEAST_ABOARD and float(np.median(shaking[first:after])) < quiet:
+        fast = speed[first:after] > TRAVELLING
+        if fast.sum() < LEAST_ABOARD * ticks.rate:
+            continue
+        if float(np.median(shaking[first:after][fast])) < quiet:
             spans.append(Span(float(t[first]) - AROUND_JUMP, float(t[after - 1]) + AROUND_JUMP))
     return tuple(spans)
 

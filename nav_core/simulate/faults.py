@@ -191,7 +191,9 @@ def _inserted(fixes: Gnss, place: int, columns: dict[str, Floats], duration: flo
     return Gnss(fix=fix, **made)
 
 
-def sailing(duration: float, seed: int, *, sea: float = 1.0, pace: float = 9.0, engine: float = 0.05) -> Drive:
+def sailing(
+    duration: float, seed: int, *, sea: float = 1.0, pace: float = 9.0, engine: float = 0.05, R_va: Floats | None = None
+) -> Drive:
     """A vehicle aboard a ferry: it travels, but what the box feels is the sea.
 
     Parameters
@@ -205,11 +207,13 @@ def sailing(duration: float, seed: int, *, sea: float = 1.0, pace: float = 9.0, 
         m/s; half of it when turning in a harbour.
     engine : float
         Vibration per sample, m/s².
+    R_va : ndarray, shape (3, 3), optional
+        The mounting; None draws one.
 
     Returns
     -------
     Drive
-        At 50 Hz with one fix a second; the box sits at random.
+        At 50 Hz with one fix a second.
     """
     rng = np.random.default_rng(seed)
     t = np.arange(0.0, duration, 0.02)
@@ -230,7 +234,7 @@ def sailing(duration: float, seed: int, *, sea: float = 1.0, pace: float = 9.0, 
     f = np.stack([c * thrust + s * aside + GRAVITY * pitch, c * aside - s * thrust + GRAVITY * roll], axis=1)
     f = np.column_stack([f, heave - GRAVITY]) + engine * rng.standard_normal((t.size, 3))
     flat = np.zeros(fixes.size)
-    R_va = Rotation.from_quat(rng.standard_normal(4)).as_matrix()
+    drawn = Rotation.from_quat(rng.standard_normal(4)).as_matrix()
     gnss = Gnss(
         t=fixes,
         lat=0.7 + 1e-6 * fixes,
@@ -240,7 +244,7 @@ def sailing(duration: float, seed: int, *, sea: float = 1.0, pace: float = 9.0, 
         course=np.mod(course + 0.08 / np.maximum(speed, 0.5) * rng.standard_normal(fixes.size), 2.0 * np.pi),
         fix=np.ones(fixes.size, dtype=np.bool_),
     )
-    return Drive(Inertial(t=t, f=f @ R_va), gnss)
+    return Drive(Inertial(t=t, f=f @ (drawn if R_va is None else R_va)), gnss)
 
 
 def clock_jumped(drive: Drive, at: float, by: float) -> Drive:
