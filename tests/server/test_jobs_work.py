@@ -12,6 +12,7 @@ from server.database import Database
 from server.formats.columns import Columns
 from server.jobs import situation as reads
 from server.jobs.due import due_devices
+from server.jobs.mountings import ALGORITHM
 from server.jobs.work import QUIET_S, Round, bring_up_to_date, read_batch
 from server.models import (
     Assignment,
@@ -78,7 +79,7 @@ def test_a_first_batch_appears_everywhere(world):
     installation = world.one(Installation)
     assert (installation.beginning, installation.status) == ("first", "settling")
     assert installation.began_at.timestamp() == pytest.approx(UTC0 + 20.0, abs=0.01)
-    assert installation.algorithm == "whole-drive/1"
+    assert installation.algorithm == ALGORITHM
     assert len(installation.input_sha256) == 64
     state = world.one(DeviceState)
     assert state.lat_deg == pytest.approx(45.0, abs=0.01)
