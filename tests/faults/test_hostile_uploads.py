@@ -95,9 +95,23 @@ def test_odd_but_allowed_names_stay_in_their_place(box, settings):
     assert outside == []
 
 
-def test_time_travel_is_stored_and_remarked(box, database):
-    there_and_back = columns(t=[5.0, 1.0, 9e9, 2.0], utc=[1.7e9, 5e9, 0.0, 1.8e9], temp=[1.0] * 4)
-    assert box.send(there_and_back).status_code == 202
+def test_time_travel_is_stored_remarked_and_worked_off(box, database, app, clock):
+    from server.jobs.work import bring_up_to_date
+
+    place = {"lat": [45.0] * 4, "lon": [11.0] * 4, "speed": [9.0] * 4, "fix": [1] * 4}
+    force = {name: [1.0, 2.0, 3.0, 4.0] for name in ("fx", "fy", "fz")}
+    journeys = [
+        columns(t=[5.0, 1.0, 9e9, 2.0], utc=[1.7e9, 5e9, 0.0, 1.8e9], **place, **force),
+        columns(t=[-1e10, -1e9, 0.0, 1e10], utc=[1e11, 1e11, 0.0, 0.0], **place),
+        columns(t=[1.0, 1.0, 1.0, 1.0], utc=[1e11] * 4, **place, **force),
+    ]
+    for number, body in enumerate(journeys):
+        assert box.send(body, key=f"b{number}/0", Scatola_Sent_At="-1e10").status_code == 202
+    assert box.send(key="b0/1").status_code == 202
     with database.reading() as session:
-        (remarks,) = session.scalars(sa.select(Batch.remarks)).all()
-    assert [remark["code"] for remark in remarks] == ["rows_out_of_order"]
+        first = session.scalars(sa.select(Batch.remarks).order_by(Batch.chain_index)).first()
+        device_id = session.scalars(sa.select(Batch.device_id)).first()
+    assert [remark["code"] for remark in first] == ["rows_out_of_order"]
+    bring_up_to_date(database, app.state.store, device_id, clock=clock)
+    with database.reading() as session:
+        assert session.scalar(sa.select(sa.func.count(Batch.id)).where(Batch.processed_at.is_(None))) == 0
