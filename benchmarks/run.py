@@ -60,12 +60,14 @@ def service() -> list[Row]:
     from nav_core.mounting.online_verdict import estimate as estimate_online
     from nav_core.signal import decimate
     from nav_core.simulate import Scenario, simulate
+    from server.formats import compact, compact_write
     from server.formats.columns import Columns
     from server.formats.drive import from_drive, read_drive_file, to_drive, write_drive_file
 
     hour, _ = simulate(Scenario(route="urban", duration=3600.0), seed=1)
     batch = from_drive(simulate(Scenario(route="urban", duration=60.0), seed=1)[0])
     packed = batch.to_parquet()
+    small = compact_write.write(batch)
     ticks = decimate(hour.inertial)
     with TemporaryDirectory() as folder:
         path = Path(folder) / "hour.parquet"
@@ -89,6 +91,8 @@ def service() -> list[Row]:
             Row(
                 "Parquet batch of 60 s at 200 Hz to a drive", best(lambda: to_drive(Columns.from_parquet(packed))), "s"
             ),
+            "compact batch of 60 s at 200 Hz to columns",
+            1e3 * best(lambda: compact.read(small, max_decoded_bytes=None)),
         ]
 
 

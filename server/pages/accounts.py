@@ -20,6 +20,7 @@ from server.database import Database
 from server.edge import DatabaseOf, Now
 from server.errors import ForbiddenError, InvalidError, ProblemError
 from server.models import User
+from server.pages import queries
 from server.pages.routes import answer
 
 router = APIRouter(include_in_schema=False, default_response_class=HTMLResponse)
@@ -59,6 +60,12 @@ def _back(path: str) -> Response:
     return RedirectResponse(path, 303)
 
 
+def _page(request: Request, template: str, caller: Caller, database: Database, context: dict[str, Any]) -> HTMLResponse:
+    with database.reading() as session:
+        change = queries.last_change(session, caller.organisation_id)
+    return answer(request, template, caller, template.removesuffix(".html"), change, context)
+
+
 # --- one's own account
 
 
@@ -83,7 +90,7 @@ def _account(request: Request, caller: Caller, database: Database, **shown: Any)
     context = {"user": user, "who": caller.name, "permission_words": PERMISSION_WORDS}
     context |= {"error": None, "said": None, "totp_secret": None, "totp_uri": None} | shown
     error = cast("ProblemError | None", shown.get("problem"))
-    page = answer(request, "account.html", caller, "account", 0, context | {"error": error and error.detail})
+    page = _page(request, "account.html", caller, database, context | {"error": error and error.detail})
     page.status_code = 200 if error is None else error.status
     return page
 
@@ -162,7 +169,7 @@ def _users(
         }
     words = {"roles": ROLE_WORDS, "permission_words": PERMISSION_WORDS}
     shown = {"secret": secret, "error": None if problem is None else problem.detail}
-    page = answer(request, "users.html", caller, "users", 0, {**context, **words, **shown})
+    page = _page(request, "users.html", caller, database, {**context, **words, **shown})
     page.status_code = 200 if problem is None else problem.status
     return page
 
@@ -282,4 +289,4 @@ def audit_page(
         rows = audit.entries(session, caller.organisation_id, before=before, action=None, limit=ENTRIES + 1)
     shown = rows[:ENTRIES]
     context = {"entries": shown, "next": shown[-1].id if len(rows) > ENTRIES else None}
-    return answer(request, "audit.html", caller, "audit", 0, context)
+    return _page(request, "audit.html", caller, database, context)

@@ -13,6 +13,7 @@ from fleet_world import Leg, World, cut, drive_of
 from nav_core.records import MountingChange, MountingEstimate, Reason, SelfTest
 from nav_core.rotation import thesis_to_matrix
 from server.installations.result import mount_json
+from server.jobs.mountings import ALGORITHM
 from server.models import Installation
 
 KEYS = {
@@ -87,7 +88,7 @@ def test_the_present_installation_and_the_history(world, admin):
     now = admin.get(f"/api/v1/devices/{world.device_id}/installation").json()
     assert (now["status"], now["beginning"], now["ended_at"]) == ("ready", "moved", None)
     assert now["R_va"] == [[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]]
-    assert now["algorithm"] == "whole-drive/1"
+    assert now["algorithm"] == ALGORITHM
     assert now["moved_angle_rad"] == pytest.approx(math.pi)
     items = admin.get(f"/api/v1/devices/{world.device_id}/installations").json()["items"]
     assert [item["beginning"] for item in items] == ["moved", "first"]
