@@ -13,7 +13,7 @@ from types import FrameType
 import structlog
 
 from server.database import Database
-from server.jobs.due import due_devices
+from server.jobs.due import burst_devices, due_devices
 from server.jobs.supervise import parent_fd
 from server.migrations import is_current
 from server.settings import Settings, set_numba_cache_dir
@@ -109,10 +109,21 @@ class Rounds:
             log.exception("cannot ask what is due")
             return False
         for device_id in devices:
-            if stop.is_set():
-                break
-            self._work(device_id)
+            # A burst that came meanwhile is not kept waiting by the others' backlogs.
+            for urgent in (*self._bursts(), device_id):
+                if stop.is_set():
+                    return True
+                self._work(urgent)
         return bool(devices)
+
+    def _bursts(self) -> list[str]:
+        try:
+            with self._database.reading() as session:
+                waiting = burst_devices(session, DEVICES)
+        except Exception:
+            log.exception("cannot ask for bursts")
+            return []
+        return [device_id for device_id in waiting if self._may_try(device_id, self._clock())]
 
     def _due(self) -> list[str]:
         now = self._clock()

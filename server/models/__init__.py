@@ -5,6 +5,7 @@ from server.models.base import Base, new_id
 from server.models.batch import Batch, BatchDigest, SequenceRun
 from server.models.change import Change
 from server.models.device import Boot, Device, DeviceState
+from server.models.event import ChainSeal, Event, EventAction, EventInput, EventRevision
 from server.models.installation import Installation, MountingRevision
 from server.models.organisation import Organisation
 from server.models.trip import TrackPoint, Trip
@@ -16,9 +17,14 @@ __all__ = [
     "Batch",
     "BatchDigest",
     "Boot",
+    "ChainSeal",
     "Change",
     "Device",
     "DeviceState",
+    "Event",
+    "EventAction",
+    "EventInput",
+    "EventRevision",
     "Installation",
     "MountingRevision",
     "Organisation",
