@@ -1,9 +1,30 @@
-"""One event put together from its pulse, the fixes around it and the mounting."""
+"""Events of a recording, each put together from its blow, the fixes around it and the mounting."""
 
 from __future__ import annotations
 
-from nav_core.events.record import CrashEvent, VehicleClass
-from nav_core.records import Drive, MountingEstimate
+from dataclasses import replace
+
+import numpy as np
+
+from nav_core.crash.case import Case, case_of, until
+from nav_core.crash.impact import Impact, impact_of
+from nav_core.crash.injury import risks
+from nav_core.crash.measures import indices_of, pulse_of, rebound_of, roll_of
+from nav_core.crash.trajectory import driver_of, rest_of, trajectory_of
+from nav_core.events.classify import Finding, find, scene_of
+from nav_core.events.driving import Manoeuvre, manoeuvres
+from nav_core.events.record import ALGORITHM, Basis, CrashEvent, DeltaV, Estimate, SecondImpact, VehicleClass
+from nav_core.events.trigger import AFTER_END, MULTI_EVENT
+from nav_core.records import Drive, MountingEstimate, Remark
+
+SEVERE = ("crash", "rollover", "parked_impact")
+
+SPAN = 30.0
+"""Context of an event that evidence must keep, before and after, s."""
+
+FEWEST = 4
+AGAIN = 2.0
+"""A mounting that changed later than this before an event is worked out anew from what came before, s."""
 
 
 def events_of(
@@ -13,6 +34,202 @@ def events_of(
     vehicle_class: VehicleClass,
     between: tuple[float, float] | None,
 ) -> tuple[CrashEvent, ...]:
-    """As `nav_core.crash.reconstruct_drive`; finds nothing yet."""
-    del drive, mounting, vehicle_class, between
-    return ()
+    """As `nav_core.crash.reconstruct_drive`."""
+    if drive.inertial.t.size < FEWEST:
+        return ()
+    case = case_of(drive, mounting)
+    scene = scene_of(case.stream, case.gnss, case.lags.speed, case.lags.sigma, vehicle_class)
+    found = find(scene)
+    events = [_of_group(case, group) for group in _grouped(case, found)]
+    events += _harsh(case, vehicle_class, events)
+    low, high = (-np.inf, np.inf) if between is None else between
+    return tuple(sorted((each for each in events if low <= each.t0 <= high), key=lambda each: each.t0))
+
+
+def _grouped(case: Case, found: list[Finding]) -> list[list[Finding]]:
+    """Findings that are one event: what follows a crash within five seconds is part of it."""
+    t, out = case.stream.t, list[list[Finding]]()
+    for each in found:
+        head = out[-1][0] if out else None
+        if head is not None and head.kind in SEVERE and t[each.window.zero] - t[head.window.zero] <= MULTI_EVENT:
+            out[-1].append(each)
+        else:
+            out.append([each])
+    return out
+
+
+def _of_group(case: Case, group: list[Finding]) -> CrashEvent:
+    first = group[0]
+    kind = "rollover" if any(each.kind == "rollover" for each in group) else first.kind
+    if first.kind not in SEVERE:
+        return _plain(case, first)
+    t0 = float(case.stream.t[first.window.zero])
+    earlier, remarks = _mounting_then(case, t0)
+    impact = impact_of(earlier, first.window)
+    later = tuple(_second(earlier, each) for each in group[1:] if each.kind in SEVERE)
+    event = _severe(earlier, first, impact)
+    return replace(event, kind=kind, second_impacts=later, quality=(*event.quality, *remarks))
+
+
+def _mounting_then(case: Case, t0: float) -> tuple[Case, tuple[Remark, ...]]:
+    """The case with the mounting that was valid at `t0`: an estimate tells the last one, and when it changed."""
+    if case.mounting.R_va is None or not any(change.t > t0 - AGAIN for change in case.mounting.changes):
+        return case, ()
+    from nav_core.mounting import estimate_mounting
+
+    before = estimate_mounting(until(case.drive, t0 - 1.0))
+    text = "The box was turned by the blow or later; the mounting is that of the driving before it."
+    if before.R_va is None:
+        text = "The box was turned by the blow or later, and what came before does not tell how it sat."
+    return case_of(case.drive, before), (Remark("mounting_before_change", text),)
+
+
+def _severe(case: Case, finding: Finding, impact: Impact) -> CrashEvent:
+    blow, cloud, known = impact.blow, impact.cloud, impact.known
+    t0, t_end = float(blow.t[blow.zero]), float(blow.t[blow.end])
+    resultant = cloud.resultant()
+    recorded = blow.v[impact.k]
+    delta_v = DeltaV(
+        longitudinal=cloud.component(0) if case.yaw_known else None,
+        lateral=cloud.component(1) if case.yaw_known else None,
+        resultant=resultant,
+        vertical=float(blow.velocity(impact.filled)[impact.k, 2]),
+        time_of_max=float(blow.t[impact.k]) - t0,
+        measured=float(np.hypot(*recorded[:2])),
+        from_gps=None if impact.from_gps is None else float(np.hypot(*impact.from_gps)),
+    )
+    pdof = cloud.pdof() if case.yaw_known else None
+    pulse = pulse_of(case, impact, resultant.value)
+    indices, unfit = indices_of(case, impact, pdof)
+    trajectory = trajectory_of(case, impact)
+    rest = rest_of(trajectory, t0)
+    return CrashEvent(
+        kind=finding.kind,
+        t0=t0,
+        t_end=t_end,
+        peak=pulse.peak,
+        confidence=finding.confidence,
+        basis=_basis(case, t0, impact),
+        delta_v=delta_v,
+        pdof=pdof,
+        impact_speed=None
+        if known is None
+        else Estimate(known.speed, max(known.speed - 1.96 * known.sigma, 0.0), known.speed + 1.96 * known.sigma),
+        rebound=rebound_of(impact) if case.yaw_known else None,
+        pulse=pulse,
+        clipped_samples=impact.clipped_samples,
+        rollover_angle=roll_of(case, finding, t0),
+        rest=rest,
+        indices=indices,
+        injuries=risks(resultant, pdof) if finding.kind != "parked_impact" else (),
+        trajectory=trajectory,
+        driver=driver_of(case, impact, trajectory, rest),
+        quality=(*case.drive.remarks, *case.remarks, *finding.remarks, *_remarks(case, impact), *unfit),
+    )
+
+
+def _remarks(case: Case, impact: Impact) -> tuple[Remark, ...]:
+    """What must be known of a blow's numbers."""
+    out: list[Remark] = []
+    blow = impact.blow
+    if impact.clipped_samples and case.saturation.full_scale is not None:
+        full, share = case.saturation.full_scale / 9.80665, 100.0 * impact.spread
+        count = impact.clipped_samples
+        text = f"{count} samples at full scale ({full:.1f} g); the missing impulse is known to {share:.0f} %."
+        out.append(Remark("clipped", text))
+    if case.rate < 150.0:
+        text = f"{case.rate:.0f} samples per second: body ringing may fold into delta-V where the box has no filter."
+        out.append(Remark("aliasing_possible", text))
+    if impact.steady.span < 1.0:
+        text = f"Gravity and bias are taken from {impact.steady.span:.2f} s before the blow."
+        out.append(Remark("short_context", text))
+    if blow.zero == 0:
+        out.append(Remark("starts_in_event", "The recording begins within the event: delta-V lacks its start."))
+    if blow.t[blow.last] < blow.t[blow.end] + AFTER_END - 1.5 / case.rate:
+        out.append(Remark("ends_in_event", "The recording ends before the end of integration."))
+    if np.any(blow.step[blow.zero + 1 : blow.last + 1] == 0.0):
+        out.append(Remark("gap_in_event", "Samples are missing within the event; nothing is put in their place."))
+    if impact.cloud.chi2 and not impact.cloud.fused:
+        text = f"Delta-V by the fixes contradicts the accelerometer (chi square {impact.cloud.chi2:.0f}); not used."
+        out.append(Remark("gps_disagrees", text))
+    if blow.w is not None and float(np.abs(blow.w[blow.zero : blow.last + 1, 2]).max()) > 0.5:
+        out.append(Remark("off_centre", "The vehicle turned: delta-V is that of the box, not of the centre of mass."))
+    return tuple(out)
+
+
+def _basis(case: Case, t0: float, impact: Impact | None) -> Basis:
+    stream, mounting = case.stream, case.mounting
+    first, last = np.searchsorted(stream.t, [t0 - SPAN, t0 + SPAN])
+    known, seen = (None, None) if impact is None else (impact.known, impact.seen)
+    sigma = mounting.sigma
+    clock = case.clock
+    return Basis(
+        algorithm=ALGORITHM,
+        window=(float(stream.t[first]), float(stream.t[max(int(last) - 1, 0)])),
+        sample_rate=case.rate,
+        full_scale=case.saturation.full_scale,
+        mounting_status=mounting.status,
+        mounting_sigma=None if sigma is None else (float(sigma[0]), float(sigma[1]), float(sigma[2])),
+        R_va=mounting.R_va,
+        gyro=case.w_v is not None,
+        fixes_before=0 if known is None else known.fixes,
+        fixes_after=0 if seen is None else seen.fixes,
+        speed_lag=mounting.speed_lag,
+        course_lag=mounting.course_lag,
+        utc_t0=None if clock is None else float(clock.utc(np.array(t0))),
+        utc_sigma=None if clock is None else float(np.hypot(clock.sigma, clock.drift_sigma * (t0 - clock.t_ref))),
+    )
+
+
+def _second(case: Case, finding: Finding) -> SecondImpact:
+    impact = impact_of(case, finding.window, with_gps=False)
+    blow = impact.blow
+    return SecondImpact(
+        t0=float(blow.t[blow.zero]),
+        t_end=float(blow.t[blow.end]),
+        resultant=impact.cloud.resultant(),
+        pdof=impact.cloud.pdof() if case.yaw_known else None,
+        clipped_samples=impact.clipped_samples,
+    )
+
+
+def _plain(case: Case, finding: Finding) -> CrashEvent:
+    """An event of which no more is said than what it was."""
+    t = case.stream.t
+    t0 = float(t[finding.window.zero])
+    flags = case.saturation.flags[finding.window.zero : finding.window.last + 1]
+    return CrashEvent(
+        kind=finding.kind,
+        t0=t0,
+        t_end=float(t[finding.window.end]),
+        peak=finding.peak,
+        confidence=finding.confidence,
+        basis=_basis(case, t0, None),
+        clipped_samples=int(flags.any(axis=1).sum()),
+        quality=(*case.drive.remarks, *case.remarks, *finding.remarks),
+    )
+
+
+def _harsh(case: Case, vehicle_class: VehicleClass, events: list[CrashEvent]) -> list[CrashEvent]:
+    """Harsh driving, outside of what is an event already."""
+    if not case.yaw_known:
+        return []
+    taken = [(each.t0 - 0.3, each.t_end + (10.0 if each.severe else 0.5)) for each in events]
+    found = manoeuvres(case.drive.inertial, case.R_va, case.gnss, case.lags.speed, vehicle_class)
+
+    def apart(each: Manoeuvre) -> bool:
+        return all(each.end < begin or each.begin > end for begin, end in taken)
+
+    return [
+        CrashEvent(
+            kind=each.kind,
+            t0=each.begin,
+            t_end=each.end,
+            peak=each.peak,
+            confidence=0.9,
+            basis=_basis(case, each.begin, None),
+            quality=(*case.drive.remarks, *case.remarks),
+        )
+        for each in found
+        if apart(each)
+    ]

@@ -14,6 +14,7 @@ from pathlib import Path
 
 ROUTES = ("urban", "highway", "straight", "gentle", "roundabout", "static")
 METHODS = ("whole-drive", "mekf")
+VEHICLE_CLASSES = ("car", "van", "truck", "bus", "motorcycle")
 
 Add = Callable[[str, str, str], argparse.ArgumentParser]
 
@@ -76,6 +77,17 @@ def _add_file_commands(add: Add) -> None:
     mount.add_argument("drive", type=Path, metavar="DRIVE", help="drive file: CSV, Parquet or the thesis' text line")
     mount.add_argument("--method", choices=METHODS, default="whole-drive")
     mount.add_argument("--json", action="store_true", help="print the contract's JSON")
+
+    crash = add("crash", "crash:crash", "Find and reconstruct the crashes and other events of a drive file.")
+    crash.add_argument("drive", type=Path, metavar="DRIVE")
+    crash.add_argument(
+        "--mount",
+        type=Path,
+        metavar="MOUNT.json",
+        help="what `mount --json` printed; default: from the drive itself",
+    )
+    crash.add_argument("--vehicle-class", choices=VEHICLE_CLASSES, default="car", help="default: %(default)s")
+    crash.add_argument("--json", action="store_true", help="print the contract's JSON")
 
     simulate = add("simulate", "files:simulate", "Write a simulated drive and its exact truth.")
     simulate.add_argument("out", type=Path, metavar="OUT", help="drive file to write: .csv or .parquet")

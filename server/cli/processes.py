@@ -70,10 +70,14 @@ def warm_up(args: argparse.Namespace) -> int:
     """`scatola warm-up`: run what is compiled once, on a short drive, so that nobody waits for it later."""
     del args
     set_numba_cache_dir()
+    from nav_core.crash import reconstruct_drive
     from nav_core.mounting import estimate_mounting
-    from nav_core.simulate import Scenario, simulate
+    from nav_core.simulate import Impact, Scenario, simulate
 
     drive, _ = simulate(Scenario(duration=60.0, accel_rate=50.0), seed=0)
     for method in ("whole-drive", "mekf"):
         estimate_mounting(drive, method=method)
+    blow = Impact(t=170.0, delta_v=8.0, speed=12.0)
+    struck, _ = simulate(Scenario(duration=180.0, accel_rate=100.0, impacts=(blow,)), seed=0)
+    reconstruct_drive(struck, estimate_mounting(struck))
     return 0

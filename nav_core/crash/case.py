@@ -1,0 +1,139 @@
+"""Everything that the reconstruction of one recording shares: axes, stream, fixes, lags, clock."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from nav_core.crash.clipping import Saturation, saturated
+from nav_core.crash.gps_change import Lags, lags_of, usable
+from nav_core.errors import TooLittleDataError
+from nav_core.events.trigger import Stream, stream_of
+from nav_core.records import Drive, Gnss, Inertial, MountingEstimate, Remark
+from nav_core.timebase import ClockFit, fit_clock
+from nav_core.typing import Floats
+
+YAW_OPEN = np.pi
+"""1 sigma of the heading of a box whose mounting is not known, rad."""
+
+TILT_OPEN = np.radians(3.0)
+"""1 sigma of the tilt of a box that is only levelled, rad."""
+
+TOLD = np.radians(20.0)
+"""A heading less sure than this says nothing of longitudinal and lateral, rad."""
+
+
+class Case(NamedTuple):
+    """A recording ready to be reconstructed.
+
+    Attributes
+    ----------
+    drive : Drive
+    mounting : MountingEstimate
+        That was used.
+    R_va : ndarray, shape (3, 3)
+        The mounting, or a levelling of unknown heading.
+    sigma : ndarray, shape (3,)
+        1 sigma about V x, y, z, rad.
+    stream : Stream
+    w_v : ndarray, shape (n, 3), optional
+        Angular rate, V axes, rad/s.
+    gnss : Gnss, optional
+        Usable fixes.
+    lags : Lags
+    saturation : Saturation
+    rate : float
+        Samples per second, Hz.
+    clock : ClockFit, optional
+    remarks : tuple of Remark
+        That hold for every event.
+    """
+
+    drive: Drive
+    mounting: MountingEstimate
+    R_va: Floats
+    sigma: Floats
+    stream: Stream
+    w_v: Floats | None
+    gnss: Gnss | None
+    lags: Lags
+    saturation: Saturation
+    rate: float
+    clock: ClockFit | None
+    remarks: tuple[Remark, ...]
+
+    @property
+    def yaw_known(self) -> bool:
+        """Whether longitudinal and lateral can be told."""
+        return bool(self.sigma[2] < TOLD)
+
+
+def case_of(drive: Drive, mounting: MountingEstimate) -> Case:
+    """Prepare a recording of at least four inertial samples."""
+    inertial = drive.inertial
+    remarks: list[Remark] = []
+    if mounting.R_va is not None and mounting.sigma is not None:
+        R_va, sigma = mounting.R_va, mounting.sigma
+        if mounting.status != "ready":
+            remarks.append(Remark("mounting_settling", "The mounting was not yet sure; its sigma is carried through."))
+    else:
+        R_va, sigma = levelled(inertial.f), np.array([TILT_OPEN, TILT_OPEN, YAW_OPEN])
+        remarks.append(Remark("mounting_unknown", f"The mounting is {mounting.status}: only resultants are given."))
+    gnss = usable(drive.gnss)
+    if gnss is None:
+        remarks.append(Remark("no_gps", "No usable fix: no impact speed, no path, no check of delta-V."))
+    elif mounting.speed_lag is None:
+        remarks.append(Remark("gps_lag_unknown", "The receiver's lag is not known; fixes near the blow are not used."))
+    if inertial.w is None:
+        text = "No gyro: delta-V is in the box's own axes, which turn with the vehicle."
+        remarks.append(Remark("axes_rotating", text))
+    return Case(
+        drive=drive,
+        mounting=mounting,
+        R_va=R_va,
+        sigma=sigma,
+        stream=stream_of(inertial, R_va),
+        w_v=None if inertial.w is None else inertial.w @ R_va.T,
+        gnss=gnss,
+        lags=lags_of(mounting.speed_lag, mounting.course_lag),
+        saturation=saturated(inertial.f),
+        rate=1.0 / float(np.median(np.diff(inertial.t))),
+        clock=_clock(drive.gnss),
+        remarks=tuple(remarks),
+    )
+
+
+def levelled(f: Floats) -> Floats:
+    """Mounting of unknown heading that puts the usual specific force straight up, shape (3, 3)."""
+    z = -np.median(f, axis=0)
+    size = float(np.linalg.norm(z))
+    z = z / size if size > 1.0 else np.array([0.0, 0.0, 1.0])
+    x: Floats = np.eye(3)[int(np.argmin(np.abs(z)))]
+    x = x - (x @ z) * z
+    x /= np.linalg.norm(x)
+    R: Floats = np.stack((x, np.cross(z, x), z)).astype(np.float64)
+    return R
+
+
+def until(drive: Drive, t: float) -> Drive:
+    """The recording before a moment."""
+    inertial, gnss = drive.inertial, drive.gnss
+    n, k = int(np.searchsorted(inertial.t, t)), int(np.searchsorted(gnss.t, t))
+
+    def cut(values: Floats | None, count: int) -> Floats | None:
+        return None if values is None else values[:count]
+
+    before = Inertial(inertial.t[:n], inertial.f[:n], cut(inertial.w, n), cut(inertial.m, n), cut(inertial.temp, n))
+    columns = {name: cut(getattr(gnss, name), k) for name in Gnss.__dataclass_fields__ if name != "fix"}
+    return replace(drive, inertial=before, gnss=Gnss(fix=gnss.fix[:k], **columns))  # pyright: ignore[reportArgumentType]
+
+
+def _clock(gnss: Gnss) -> ClockFit | None:
+    if gnss.utc is None:
+        return None
+    try:
+        return fit_clock(gnss.t, gnss.utc)
+    except TooLittleDataError:
+        return None

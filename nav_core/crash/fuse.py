@@ -1,0 +1,155 @@
+"""Delta-V from the accelerometer, clipped or not, and from the fixes, as one distribution.
+
+What clipping hides is known up to a factor, the rest up to normal errors, the fixes' change likewise.  The logarithm of
+the factor has Student's distribution: where the flanks mislead, they mislead by much, and the fixes must be able to say
+so.  Given the factor all is linear and normal; the factor is summed over on a grid.  The distribution is carried
+as weighted points, so that intervals of components, resultant and angle agree with each other.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import ndtri
+
+from nav_core.events.record import Estimate
+from nav_core.rotation import wrap
+from nav_core.typing import Floats
+
+FACTORS = 121
+FREEDOM = 5.0
+"""Degrees of freedom of the factor's logarithm."""
+
+POINTS = 96
+DISAGREES = 18.0
+"""Chi square of two degrees of freedom beyond which fixes and accelerometer contradict each other (1 in 8000)."""
+
+
+class Change(NamedTuple):
+    """A horizontal change of velocity by the accelerometer.
+
+    Attributes
+    ----------
+    recorded : ndarray, shape (2,)
+        From the samples as they are, m/s.
+    missing : ndarray, shape (2,)
+        Best estimate of what clipping hides, m/s.
+    spread : float
+        1 sigma of the logarithm of the factor on `missing`.
+    covariance : ndarray, shape (2, 2)
+        Of the rest, m²/s².
+    """
+
+    recorded: Floats
+    missing: Floats
+    spread: float
+    covariance: Floats
+
+
+class Cloud(NamedTuple):
+    """Weighted points of a horizontal change of velocity.
+
+    Attributes
+    ----------
+    points : ndarray, shape (k, 2)
+        m/s.
+    weights : ndarray, shape (k,)
+        Sum 1.
+    factor : float
+        Mean factor on what was missing.
+    fused : bool
+        Whether the fixes took part.
+    chi2 : float
+        Of the fixes against the accelerometer; 0 without.
+    """
+
+    points: Floats
+    weights: Floats
+    factor: float
+    fused: bool
+    chi2: float
+
+    @property
+    def mean(self) -> Floats:
+        """Mean, m/s, shape (2,)."""
+        return self.weights @ self.points
+
+    def component(self, axis: int) -> Estimate:
+        """One component, m/s."""
+        return self._estimate(self.points[:, axis], float(self.mean[axis]))
+
+    def resultant(self) -> Estimate:
+        """Magnitude, m/s."""
+        return self._estimate(np.hypot(*self.points.T), float(np.hypot(*self.mean)))
+
+    def pdof(self) -> Estimate:
+        """Direction the force came from, rad clockwise from straight ahead, value in (-pi, pi]."""
+        x, y = -self.mean + 0.0
+        value = float(np.arctan2(y, x))
+        off = wrap(np.arctan2(-self.points[:, 1], -self.points[:, 0]) - value)
+        spread = self._estimate(np.asarray(off), 0.0)
+        return Estimate(value, value + spread.low, value + spread.high)
+
+    def of(self, values: Floats) -> Estimate:
+        """Mean and interval of any function of the points, shape (k,)."""
+        return self._estimate(values, float(self.weights @ values))
+
+    def _estimate(self, values: Floats, value: float) -> Estimate:
+        low, high = quantiles(values, self.weights, (0.025, 0.975))
+        return Estimate(value, min(low, value), max(high, value))
+
+
+def quantiles(values: Floats, weights: Floats, at: tuple[float, ...]) -> list[float]:
+    """Quantiles of weighted points, halfway through each point's weight."""
+    order = np.argsort(values, kind="stable")
+    share = np.cumsum(weights[order]) - 0.5 * weights[order]
+    return [float(np.interp(each, share, values[order])) for each in at]
+
+
+def fuse(change: Change, gps: Floats | None = None, gps_covariance: Floats | None = None) -> Cloud:
+    """One distribution out of both.
+
+    Parameters
+    ----------
+    change : Change
+    gps : ndarray, shape (2,), optional
+        Change of velocity by the fixes over the same time, same axes, m/s.
+    gps_covariance : ndarray, shape (2, 2), optional
+
+    Returns
+    -------
+    Cloud
+        Without the fixes where they contradict the accelerometer: then one of them is wrong, and not by chance.
+    """
+    u = np.linspace(-4.0, 7.0, FACTORS) if change.spread > 0.0 else np.zeros(1)
+    odds = -(FREEDOM + 1.0) * np.log1p(u**2 / FREEDOM)  # twice the logarithm
+    factor, prior = np.exp(change.spread * u), np.exp(0.5 * odds)
+    centres = change.recorded + factor[:, None] * change.missing
+    covariance, weights, chi2, fused = change.covariance, prior, 0.0, False
+    if gps is not None and gps_covariance is not None:
+        total = covariance + gps_covariance
+        r = gps - centres
+        distance = np.einsum("ni,ij,nj->n", r, np.linalg.inv(total), r)
+        chi2 = float(np.min(distance - odds))
+        if chi2 <= DISAGREES:
+            weights = prior * np.exp(-0.5 * (distance - distance.min()))
+            gain = covariance @ np.linalg.inv(total)
+            centres, covariance, fused = centres + r @ gain.T, covariance - gain @ covariance, True
+    weights = weights / weights.sum()
+    root = np.linalg.cholesky(0.5 * (covariance + covariance.T) + 1e-12 * np.eye(2))
+    points = (centres[:, None, :] + (_normal_points() @ root.T)[None]).reshape(-1, 2)
+    return Cloud(points, np.repeat(weights / POINTS, POINTS), float(weights @ factor), fused, chi2)
+
+
+def _normal_points() -> Floats:
+    """Evenly spread points of the two-dimensional normal distribution, shape (POINTS, 2), mean 0 and covariance 1.
+
+    The additive recurrence of the plastic number (Roberts 2018), through the normal quantile, then whitened.
+    """
+    k = np.arange(1, POINTS + 1)
+    g = 1.32471795724474602596
+    uniform = np.stack((np.mod(0.5 + k / g, 1.0), np.mod(0.5 + k / g**2, 1.0)), axis=1)
+    points: Floats = np.asarray(ndtri(uniform))
+    points -= points.mean(axis=0)
+    return points @ np.linalg.inv(np.linalg.cholesky(points.T @ points / POINTS)).T

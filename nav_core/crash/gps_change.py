@@ -1,0 +1,229 @@
+"""What the fixes say of a blow by themselves: speed before it, and velocity after it in the V axes at time zero.
+
+A fix describes a moment before its stamp.  From there to the blow, and from the blow to there, the accelerometer
+carries the velocity on; it is not clipped then.  So the fixes give the change over the blow alone, clipped or not.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from nav_core.events.trigger import Stream
+from nav_core.records import Gnss
+from nav_core.rotation import wrap
+from nav_core.timebase import stale
+from nav_core.typing import Floats
+
+SPEED_NOISE = 0.08
+"""1 sigma of a fix's speed, and of its velocity across, m/s; half of the variance repeats itself."""
+
+REPEAT = 4.0
+"""Over which time the repeating half does, s."""
+
+LAG_SIGMA = 0.06
+"""1 sigma of a lag that the drive has told, s."""
+
+UNKNOWN_LAG, UNKNOWN_LAG_SIGMA = 0.35, 0.35
+"""Of a receiver of which nothing is known, s."""
+
+BEFORE = 4.0
+AFTER = 2.5
+"""Fixes that are used describe moments at most this long before and after the blow, s."""
+
+WALK = 0.6
+GAP_WALK = 3.0
+"""How fast velocity strays from what the accelerometer says after a blow, m/s/√s, and where it says nothing."""
+
+SETTLED, COURSE_SETTLED = 0.12, 0.4
+"""Speeds and courses from within this time after a blow may still be from before, s: lags are not known exactly, that
+of the course least."""
+
+SLOW = 1.0
+"""Below this speed a course is not to be relied on, m/s."""
+
+
+class Lags(NamedTuple):
+    """Of the receiver, s, and their 1 sigma."""
+
+    speed: float
+    course: float
+    sigma: float
+
+
+class Before(NamedTuple):
+    """The vehicle's speed at time zero and its 1 sigma, m/s; its course, rad, with 1 sigma; fixes that told."""
+
+    speed: float
+    sigma: float
+    course: float
+    course_sigma: float
+    fixes: int
+
+
+class After(NamedTuple):
+    """Horizontal velocity at the end of the window, V axes at time zero, m/s, (2,), with covariance (2, 2)."""
+
+    velocity: Floats
+    covariance: Floats
+    fixes: int
+
+
+def lags_of(speed: float | None, course: float | None) -> Lags:
+    """Lags from a mounting estimate; what is not known is taken from the other, or from ordinary receivers."""
+    known = [each for each in (speed, course) if each is not None]
+    if not known:
+        return Lags(UNKNOWN_LAG, UNKNOWN_LAG, UNKNOWN_LAG_SIGMA)
+    sigma = LAG_SIGMA if len(known) == 2 else 0.15
+    return Lags(known[0] if speed is None else speed, known[-1] if course is None else course, sigma)
+
+
+def usable(gnss: Gnss) -> Gnss | None:
+    """Fixes with a speed that are not mere repetitions; None without any."""
+    keep = gnss.fix & np.isfinite(gnss.speed)
+    # A receiver whose position never changes gives none: by it, no fix is told from a repetition.
+    if np.unique(gnss.lat[keep & np.isfinite(gnss.lat)]).size > 1:
+        keep &= ~stale(gnss)
+    if not keep.any():
+        return None
+    columns = (gnss.t, gnss.lat, gnss.lon, gnss.alt, gnss.speed, gnss.course)
+    return Gnss(*(column[keep] for column in columns), fix=gnss.fix[keep])
+
+
+def repeating(t: Floats, sigma: float) -> Floats:
+    """Covariance of the errors of fixes at these moments, shape (n, n): half white, half repeating."""
+    apart = np.abs(t[:, None] - t[None, :])
+    return 0.5 * sigma**2 * (np.eye(t.size) + np.exp(-apart / REPEAT))
+
+
+def combine(z: Floats, C: Floats) -> tuple[float, float]:
+    """Best mean of measurements of one number with covariance `C`, and its 1 sigma."""
+    weight = np.linalg.solve(C, np.ones(z.size))
+    total = float(weight.sum())
+    # Strong correlation asks for weights beyond 0..1; they would amplify what is not modelled.
+    weight = np.maximum(weight / total, 0.0)
+    weight /= weight.sum()
+    return float(weight @ z), float(np.sqrt(weight @ C @ weight))
+
+
+def before(gnss: Gnss, lags: Lags, stream: Stream, steady: Floats, t0: float) -> Before | None:
+    """Speed and course at `t0` from the fixes before it.
+
+    Parameters
+    ----------
+    gnss : Gnss
+        As `usable` gave it.
+    lags : Lags
+    stream : Stream
+        In V axes.
+    steady : ndarray, shape (3,)
+        Specific force of gravity and bias alone, V axes, m/s².
+    t0 : float
+        Box clock, s.
+
+    Returns
+    -------
+    Before or None
+        None without a fix of the last 4 s.  The course is NaN at a crawl.
+    """
+    described = gnss.t - lags.speed
+    # Stamped before the blow, a fix is from before it, whatever the lag.
+    use = (gnss.t <= t0) & (described >= t0 - BEFORE - lags.sigma)
+    if not use.any():
+        return None
+    at, speed = described[use], gnss.speed[use]
+    gained, uncertain = _gained(stream, steady, at, t0)
+    z = speed + gained[:, 0]
+    # One error of the level runs through all of them.
+    C = repeating(at, SPEED_NOISE) + np.outer(uncertain, uncertain)
+    shift = _gained(stream, steady, at - lags.sigma, t0)[0][:, 0] - gained[:, 0]
+    value, sigma = combine(z, C + np.outer(shift, shift))
+    course, course_sigma = _course(gnss, lags, stream, steady, t0)
+    return Before(max(value, 0.0), sigma, course, course_sigma, int(use.sum()))
+
+
+def _course(gnss: Gnss, lags: Lags, stream: Stream, steady: Floats, t0: float) -> tuple[float, float]:
+    described = gnss.t - lags.course
+    use = (gnss.t <= t0) & (described >= t0 - BEFORE - lags.sigma) & (gnss.speed > SLOW) & np.isfinite(gnss.course)
+    if not use.any():
+        return float("nan"), float("nan")
+    at, speed = described[use], gnss.speed[use]
+    gained, uncertain = _gained(stream, steady, at, t0)
+    # dpsi/dt = a_y / v: what the vehicle still turned until the blow.
+    turned = gained[:, 1] / speed
+    angles = gnss.course[use] + turned
+    reference = angles[-1]
+    share, level = SPEED_NOISE / speed, uncertain / speed
+    C = repeating(at, 1.0) * np.outer(share, share) + np.outer(level, level)
+    late = (_gained(stream, steady, at - lags.sigma, t0)[0][:, 1] - gained[:, 1]) / speed
+    offset, sigma = combine(np.asarray(wrap(angles - reference)), C + np.outer(late, late))
+    return float(wrap(np.array(reference + offset))), float(np.hypot(sigma, np.radians(0.3)))
+
+
+def _gained(stream: Stream, steady: Floats, at: Floats, t0: float) -> tuple[Floats, Floats]:
+    """Velocity gained from each moment until `t0`, m/s, shape (k, 3), and its 1 sigma, (k,)."""
+    inside = np.clip(at, stream.t[0], t0)
+    first, last = np.searchsorted(stream.t, [inside.min(), t0 + 1e-9])
+    part = slice(max(int(first) - 1, 0), int(last) + 1)
+    t, f, step = stream.t[part], stream.f[part] - steady, stream.step[part]
+    v = np.cumsum(np.concatenate([np.zeros((1, 3)), 0.5 * (f[1:] + f[:-1]) * step[1:, None]]), axis=0)
+    now = np.array([np.interp(t0, t, v[:, axis]) for axis in range(3)])
+    then = np.column_stack([np.interp(inside, t, v[:, axis]) for axis in range(3)])
+    unseen = np.maximum(inside - at, 0.0)
+    return now - then, 0.08 * (t0 - inside) + 1.5 * unseen
+
+
+def after(
+    gnss: Gnss, lags: Lags, known: Before, t_end: float, path: tuple[Floats, Floats], *, spinning: bool
+) -> After | None:
+    """Velocity right after the blow from the fixes that follow it.
+
+    Parameters
+    ----------
+    gnss : Gnss
+        As `usable` gave it.
+    lags : Lags
+    known : Before
+        Its course is where V x pointed at time zero.
+    t_end : float
+        The moment asked for, box clock, s.
+    path : tuple of ndarray
+        Moments from `t_end` on, s, shape (m,), and the horizontal velocity gained since, V axes at time zero,
+        m/s, shape (m, 2).
+    spinning : bool
+        The vehicle may turn after the blow and nothing says how: the accelerometer's axes are not trusted.
+
+    Returns
+    -------
+    After or None
+        None without a fix, or without a course before.
+    """
+    described = gnss.t - lags.speed
+    late = 2.0 * lags.sigma * (lags.sigma > LAG_SIGMA)
+    use = (described >= t_end + SETTLED + late) & (gnss.t - lags.course >= t_end + COURSE_SETTLED + late)
+    use &= described <= t_end + AFTER
+    use &= np.isfinite(gnss.course) | (gnss.speed < SLOW)
+    if not use.any() or not np.isfinite(known.course):
+        return None
+    at, speed = described[use], gnss.speed[use]
+    course = np.where(np.isfinite(gnss.course[use]), gnss.course[use], known.course) - known.course
+    z = speed[:, None] * np.stack((np.cos(course), np.sin(course)), axis=1)
+    moments, gained = path
+    seen = np.column_stack([np.interp(at, moments, gained[:, axis]) for axis in range(2)])
+    later = np.column_stack([np.interp(at + lags.sigma, moments, gained[:, axis]) for axis in range(2)])
+    elapsed = at - t_end
+    covered = np.clip(moments[-1] - t_end, 0.0, elapsed)
+    walk = (3.0 if spinning else 1.0) * WALK
+    spread = walk**2 * covered + GAP_WALK**2 * (elapsed - covered)
+    # At a crawl the course says little: the direction of that speed is open.
+    crawl = np.diag(np.where(speed < SLOW, 0.5 * speed**2, 0.0))
+    C = repeating(at, SPEED_NOISE) + np.minimum(spread[:, None], spread[None, :]) + crawl
+    values = np.empty(2)
+    P = np.zeros((2, 2))
+    for axis in range(2):
+        late = later[:, axis] - seen[:, axis]
+        values[axis], sigma = combine(z[:, axis] - seen[:, axis], C + np.outer(late, late))
+        P[axis, axis] = sigma**2
+    across = np.array([-values[1], values[0]]) * known.course_sigma
+    return After(values, P + np.outer(across, across), int(use.sum()))

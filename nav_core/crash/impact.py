@@ -1,0 +1,196 @@
+"""One blow: its samples, what clipping hid, and the distribution of its delta-V."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from nav_core.crash.case import Case
+from nav_core.crash.clipping import restore
+from nav_core.crash.filters import LEAST_RATE, cfc
+from nav_core.crash.fuse import Change, Cloud, fuse
+from nav_core.crash.gps_change import AFTER, After, Before, after, before
+from nav_core.crash.pulse import LOOK_BACK, Blow, Steady, blow_of, steady_before
+from nav_core.events.trigger import Window
+from nav_core.records import Gnss
+from nav_core.rotation import wrap
+from nav_core.typing import Flags, Floats
+
+MARGIN = 0.5
+"""Samples taken along before time zero, s."""
+
+SCALE = 0.004
+"""1 sigma of the accelerometer's scale, share."""
+
+ROTATION = np.radians(0.5)
+"""1 sigma of what turning axes do to the direction where no gyro holds them, rad."""
+
+JITTER = 0.025
+"""1 sigma of vibration and noise left in an integral, m/s."""
+
+ALIASING = ((10.0, 25.0, 50.0, 100.0, 200.0, 400.0, 1000.0), (0.3, 0.165, 0.12, 0.077, 0.004, 0.002, 0.001))
+"""What body ringing may do to delta-V at these rates, 1 sigma, share of it: up to 100 Hz of boxes without an anti-alias
+filter (docs/crash.md), from 200 Hz on with a usual one."""
+
+
+class Impact(NamedTuple):
+    """A blow worked out.
+
+    Attributes
+    ----------
+    blow : Blow
+    steady : Steady
+    filled : ndarray, shape (n, 3)
+        Acceleration with the estimate where clipped, consistent with `cloud`, m/s².
+    clipped : ndarray of bool, shape (n,)
+        Of the samples of `blow`.
+    clipped_samples : int
+        Within the window.
+    spread : float
+        1 sigma of the logarithm of the missing impulse.
+    k : int
+        Sample of the maximum resultant.
+    cloud : Cloud
+    known : Before, optional
+    seen : After, optional
+    from_gps : ndarray, shape (2,), optional
+        Delta-V by the fixes alone, m/s.
+    """
+
+    blow: Blow
+    steady: Steady
+    filled: Floats
+    clipped: Flags
+    clipped_samples: int
+    spread: float
+    k: int
+    cloud: Cloud
+    known: Before | None
+    seen: After | None
+    from_gps: Floats | None
+
+
+def impact_of(case: Case, window: Window, *, with_gps: bool = True) -> Impact:
+    """Work out one blow.
+
+    Parameters
+    ----------
+    case : Case
+    window : Window
+        Of the case's stream.
+    with_gps : bool
+        Let the fixes take part; of a second blow soon after the first they cannot.
+    """
+    stream = case.stream
+    t0 = float(stream.t[window.zero])
+    gnss = case.gnss if with_gps else None
+    gained = None if gnss is None else _gained_before(gnss, case, t0)
+    steady = steady_before(stream, t0, gained if case.yaw_known else None)
+    blow = blow_of(stream, window, steady, case.w_v, margin=MARGIN, tail=AFTER + 0.1)
+    first = int(np.searchsorted(stream.t, blow.t[0]))
+    flags = case.saturation.flags[first : first + blow.t.size]
+    filled, spread = _restored(case, blow, flags)
+    part = slice(blow.zero, blow.last + 1)
+    trace = blow.velocity(filled)
+    smooth = blow.velocity(structural(case, blow, filled))[part]
+    k = blow.zero + int(np.argmax(np.hypot(smooth[:, 0], smooth[:, 1])))
+
+    known = None if gnss is None else before(gnss, case.lags, stream, steady.f, t0)
+    seen = None
+    if gnss is not None and known is not None and case.yaw_known:
+        seen = _seen(case, gnss, known, blow, trace)
+    recorded = blow.v[k, :2]
+    missing = trace[k, :2] - recorded
+    change = Change(recorded, missing, spread, _covariance(case, blow, trace[k, :2], k, steady))
+    gps, covariance = None, None
+    if seen is not None and known is not None:
+        gps = seen.velocity - np.array([known.speed, 0.0]) - (trace[blow.last, :2] - trace[k, :2])
+        covariance = seen.covariance + np.diag([known.sigma**2, 0.0])
+    cloud = fuse(change, gps, covariance)
+    return Impact(
+        blow=blow,
+        steady=steady,
+        filled=_consistent(blow.a, filled, cloud, recorded, missing),
+        clipped=np.asarray(flags.any(axis=1)),
+        clipped_samples=int(flags[part].any(axis=1).sum()),
+        spread=spread,
+        k=k,
+        cloud=cloud,
+        known=known,
+        seen=seen,
+        from_gps=gps,
+    )
+
+
+def structural(case: Case, blow: Blow, a: Floats) -> Floats:
+    """Accelerations after CFC 60 where the sampling allows it, else as they are, shape (n, 3).
+
+    SAE J211-1 has CFC 60 for structural accelerations; a plateau's maximum lies where ringing puts it otherwise.
+    """
+    if case.rate < LEAST_RATE[60] * (1.0 - 1e-3) or np.ptp(blow.step[1:]) > 0.5 / case.rate:
+        return a
+    return cfc(a, case.rate, 60)
+
+
+def _gained_before(gnss: Gnss, case: Case, t0: float) -> Floats | None:
+    """Mean acceleration of the vehicle, forward and to the right, in the seconds before the blow, by the fixes."""
+    at = gnss.t - case.lags.speed
+    use = (at >= t0 - LOOK_BACK - 0.5) & (gnss.t <= t0)
+    if use.sum() < 4 or np.ptp(at[use]) < 0.4 * LOOK_BACK or case.lags.sigma > 0.2:
+        return None
+    x = at[use] - at[use].mean()
+    forward = float(x @ gnss.speed[use] / (x @ x))
+    course, speed = gnss.course[use], gnss.speed[use]
+    if not np.isfinite(course).all() or speed.min() < 3.0:
+        return np.array([forward, 0.0])
+    turned = np.asarray(wrap(course - course[-1]))
+    return np.array([forward, float(x @ turned / (x @ x)) * float(speed.mean())])
+
+
+def _restored(case: Case, blow: Blow, flags: Flags) -> tuple[Floats, float]:
+    """Acceleration with an estimate in place of what was clipped, and the spread of that estimate."""
+    begin = max(int(np.searchsorted(blow.t, blow.t[blow.zero] - 0.03)), 0)
+    part = slice(begin, blow.last + 1)
+    if case.saturation.full_scale is None or not flags[part].any():
+        return blow.a, 0.0
+    H = np.einsum("ji,nkj->nik", case.R_va, blow.C[part])  # R_va^T C^T
+    known = restore(blow.t[part], blow.a[part], H, flags[part])
+    filled = blow.a.copy()
+    filled[part] = known.a
+    return filled, known.spread
+
+
+def _seen(case: Case, gnss: Gnss, known: Before, blow: Blow, trace: Floats) -> After | None:
+    rest = slice(blow.last, None)
+    path = blow.t[rest], trace[rest, :2] - trace[blow.last, :2]
+    return after(gnss, case.lags, known, float(blow.t[blow.last]), path, spinning=False)
+
+
+def _covariance(case: Case, blow: Blow, d: Floats, k: int, steady: Steady) -> Floats:
+    """Of a delta-V that was not clipped: level, vibration, scale, sampling, and the direction of the axes."""
+    size = float(np.hypot(*d))
+    along = d / max(size, 1e-9)
+    across = np.array([-along[1], along[0]])
+    elapsed = float(blow.t[k] - blow.t[blow.zero])
+    every = (steady.sigma * elapsed) ** 2 + JITTER**2
+    alias = float(np.interp(np.log(case.rate), np.log(ALIASING[0]), ALIASING[1]))
+    turn = case.sigma[2] ** 2 + (ROTATION**2 if blow.w is None else 0.0)
+    # An open heading leaves the resultant as sure as it is.
+    turn = min(turn, 1.0)
+    return (
+        every * np.eye(2)
+        + (SCALE**2 + alias**2) * size**2 * np.outer(along, along)
+        + (turn + 0.25 * alias**2) * size**2 * np.outer(across, across)
+    )
+
+
+def _consistent(recorded: Floats, filled: Floats, cloud: Cloud, measured: Floats, missing: Floats) -> Floats:
+    """Acceleration whose integral is the delta-V reported: what was missing scaled, then all turned and scaled."""
+    a = recorded + cloud.factor * (filled - recorded)
+    raw = measured + cloud.factor * missing
+    if np.hypot(*raw) < 1e-6:
+        return a
+    ratio = complex(*cloud.mean) / complex(*raw)
+    turned = (a[:, 0] + 1j * a[:, 1]) * ratio
+    return np.stack((turned.real, turned.imag, a[:, 2]), axis=1)

@@ -1,0 +1,138 @@
+"""The blow in the V axes held at time zero: attitude before it, axes through it, its integral.
+
+With a gyro the axes are carried by the turn since `t0`; without one they are the box's own, turning with the vehicle.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from nav_core.earth import STANDARD_GRAVITY
+from nav_core.events.trigger import Stream, Window, integrate
+from nav_core.rotation import product, quaternion_to_matrix, rotvec_to_quaternion
+from nav_core.typing import Floats
+
+LOOK_BACK = 4.0
+"""Gravity and bias are taken from at most this long before `t0`, s, ..."""
+
+MARGIN = 0.005
+"""... and until this long before it."""
+
+
+class Steady(NamedTuple):
+    """Specific force of gravity and bias alone, V axes, m/s², (3,); 1 sigma of each horizontal one; seconds used."""
+
+    f: Floats
+    sigma: float
+    span: float
+
+
+def steady_before(stream: Stream, t0: float, gained: Floats | None) -> Steady:
+    """Gravity and bias from the seconds before the blow.
+
+    Parameters
+    ----------
+    stream : Stream
+    t0 : float
+        Box clock, s.
+    gained : ndarray, shape (2,), optional
+        Mean forward and rightward acceleration of the vehicle over those seconds by GPS, m/s².
+
+    Returns
+    -------
+    Steady
+        Without fixes the vehicle's own acceleration stays in it, which the sigma admits.
+    """
+    first, last = np.searchsorted(stream.t, [t0 - LOOK_BACK, t0 - MARGIN])
+    level = np.array([0.0, 0.0, -STANDARD_GRAVITY])
+    if last <= first:
+        near = int(np.searchsorted(stream.t, t0))
+        return Steady(stream.rest[min(near, stream.t.size - 1)] if stream.t.size else level, 0.6, 0.0)
+    part = stream.f[first:last]
+    span = float(stream.t[last - 1] - stream.t[first])
+    if gained is not None and span > 0.5 * LOOK_BACK:
+        return Steady(part.mean(axis=0) - np.array([*gained, 0.0]), 0.12, span)
+    if span < 0.25 * LOOK_BACK:
+        return Steady(part.mean(axis=0), 0.4, span)
+    # The median leaves out a short braking; a long one cannot be told from a slope.
+    return Steady(np.median(part, axis=0), 0.3, span)
+
+
+def turn_since(t: Floats, w: Floats) -> Floats:
+    """Attitude relative to the first sample, shape (n, 3, 3), from angular rates (n, 3), rad/s, in body axes.
+
+    The quaternions of the steps are multiplied up by doubling: n log n products in array code.
+    """
+    step = np.diff(t, prepend=t[:1])[:, None]
+    middle = np.concatenate([w[:1], 0.5 * (w[1:] + w[:-1])])
+    q = rotvec_to_quaternion(middle * step)
+    shift = 1
+    while shift < q.shape[0]:
+        q = np.concatenate([q[:shift], product(q[:-shift], q[shift:])])
+        shift *= 2
+    return quaternion_to_matrix(q)
+
+
+class Blow(NamedTuple):
+    """Samples around a blow in the V axes at time zero.
+
+    Attributes
+    ----------
+    t : ndarray, shape (n,)
+        Box clock, s.
+    zero, end, last : int
+        Of `t`: time zero, end of event, end of integration.
+    C : ndarray, shape (n, 3, 3)
+        V axes at time zero from V axes now; identity without a gyro.
+    a : ndarray, shape (n, 3)
+        Acceleration as recorded, V axes at time zero, m/s².
+    v : ndarray, shape (n, 3)
+        Its integral from time zero, m/s; negative times have what was missed before.
+    step : ndarray, shape (n,)
+    w : ndarray, shape (n, 3), optional
+        V axes now, rad/s.
+    """
+
+    t: Floats
+    zero: int
+    end: int
+    last: int
+    C: Floats
+    a: Floats
+    v: Floats
+    step: Floats
+    w: Floats | None
+
+    def velocity(self, a: Floats) -> Floats:
+        """Integral from time zero of accelerations on these samples, shape (n, 3)."""
+        v = integrate(a, self.step)
+        return v - v[self.zero]
+
+
+def blow_of(stream: Stream, window: Window, steady: Steady, w_v: Floats | None, *, margin: float, tail: float) -> Blow:
+    """The samples from `margin` before time zero to `tail` after the end of integration, s.
+
+    `window` is of the stream; `w_v` (n, 3) are the stream's angular rates in V, NaN where not sampled, or None.
+    """
+    t = stream.t
+    first = int(np.searchsorted(t, t[window.zero] - margin))
+    stop = int(np.searchsorted(t, t[window.last] + tail, side="right"))
+    part = slice(first, stop)
+    zero = window.zero - first
+    f, step = stream.f[part], stream.step[part]
+    w = None if w_v is None or not np.isfinite(w_v[part]).any() else _filled(t[part], w_v[part])
+    since = np.broadcast_to(np.eye(3), (f.shape[0], 3, 3)) if w is None else turn_since(t[part], w)
+    C = since[zero].T @ since
+    a = np.einsum("nij,nj->ni", C, f) - steady.f
+    v = integrate(a, step)
+    return Blow(t[part], zero, window.end - first, window.last - first, C, a, v - v[zero], step, w)
+
+
+def _filled(t: Floats, w: Floats) -> Floats:
+    """Rates with those not sampled taken from their neighbours."""
+    known = np.isfinite(w).all(axis=1)
+    if known.all():
+        return w
+    return np.column_stack([np.interp(t, t[known], w[known, axis]) for axis in range(3)])

@@ -1,0 +1,186 @@
+"""Moments worth a look: the trigger, time zero and end of event of 49 CFR 563 on a stream of specific force.
+
+Delta-V is integrated over all horizontal directions at once, so the longitudinal and lateral triggers of the
+regulation are met whichever way the blow comes.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from nav_core.earth import STANDARD_GRAVITY
+from nav_core.records import Inertial
+from nav_core.typing import Flags, Floats, Integers
+
+KMH = 1.0 / 3.6
+
+TRIGGER = 8.0 * KMH
+"""Change of velocity within `TRIGGER_WINDOW` that makes an event (§563.5), m/s and s."""
+
+TRIGGER_WINDOW = 0.150
+
+THRESHOLD = 0.8 * KMH
+"""Change within `WINDOW` that starts an event; at most this much ends it (§563.5), m/s and s."""
+
+WINDOW = 0.020
+
+QUIET = 0.030
+"""The end counts when it stays quiet for this long, s: a pulse that swings through zero has not ended."""
+
+MULTI_EVENT = 5.0
+"""Blows that start within this time of the first belong to one event (§563.5), s."""
+
+AFTER_END = 0.030
+"""Integration goes on this long after the end of the event, s."""
+
+REST_SPAN = (2.5, 0.25)
+"""What is taken off before integrating is the mean from 2.5 to 0.25 s ago: slope, bias, cornering, braking."""
+
+
+class Stream(NamedTuple):
+    """Specific force on the way to velocity.
+
+    Attributes
+    ----------
+    t : ndarray, shape (n,)
+        Box clock, s.
+    f : ndarray, shape (n, 3)
+        V axes (or levelled ones of unknown heading), m/s².
+    step : ndarray, shape (n,)
+        Since the sample before, s; 0 at the start and after a gap.
+    rest : ndarray, shape (n, 3)
+        Running mean of `f` shortly before each sample, m/s².
+    v : ndarray, shape (n, 3)
+        Running integral of ``f - rest``, m/s.
+    """
+
+    t: Floats
+    f: Floats
+    step: Floats
+    rest: Floats
+    v: Floats
+
+    def at(self, t: Floats) -> Floats:
+        """`v` between the samples, shape (k, 3)."""
+        return np.column_stack([np.interp(t, self.t, self.v[:, axis]) for axis in range(3)])
+
+    def mean(self, begin: float, end: float) -> Floats | None:
+        """Mean specific force from..to, box clock, s; None without samples."""
+        first, last = np.searchsorted(self.t, [begin, end])
+        return None if last <= first else self.f[first:last].mean(axis=0)
+
+
+def stream_of(inertial: Inertial, R_va: Floats) -> Stream:
+    """Stream of a recording, any rate, any gaps."""
+    t, f = inertial.t, inertial.f @ R_va.T
+    step = np.diff(t, prepend=t[:1])
+    if t.size > 1:
+        usual = float(np.median(step[1:]))
+        step[step > max(5.0 * usual, 0.1)] = 0.0
+    rest = _rest(t, f)
+    return Stream(t, f, step, rest, integrate(f - rest, step))
+
+
+def integrate(a: Floats, step: Floats) -> Floats:
+    """Running integral by trapezia, shape (n, k), 0 at the first sample and unchanged over gaps."""
+    middle = np.empty_like(a)
+    middle[:1] = 0.0
+    middle[1:] = 0.5 * (a[1:] + a[:-1])
+    return np.cumsum(middle * step[:, None], axis=0)
+
+
+def _rest(t: Floats, f: Floats) -> Floats:
+    """Running mean of the force shortly before each sample; at the start of a recording, of its first moments."""
+    total = np.concatenate([np.zeros((1, 3)), np.cumsum(f, axis=0)])
+    first, last = np.searchsorted(t, t - REST_SPAN[0]), np.searchsorted(t, t - REST_SPAN[1])
+    count = last - first
+    opening = opening_mean(t, f)
+    known = (count > 0) & (t - REST_SPAN[1] - t[first] >= 0.5 * REST_SPAN[1]) if t.size else count > 0
+    mean = (total[last] - total[first]) / np.maximum(count, 1)[:, None]
+    return np.where(known[:, None], mean, opening)
+
+
+def opening_mean(t: Floats, f: Floats) -> Floats:
+    """Mean force of the first 40 ms while nothing happens in them; else gravity, as on a level road."""
+    level = np.array([0.0, 0.0, -STANDARD_GRAVITY])
+    if t.size == 0:
+        return level
+    first = f[: max(int(np.searchsorted(t, t[0] + 0.04)), 1)]
+    # Wide enough for the vibration of a box that is badly held, too narrow for the start of a blow.
+    calm = np.abs(first - first.mean(axis=0)).max() < 0.8 * STANDARD_GRAVITY
+    return first.mean(axis=0) if calm else level
+
+
+def change_within(stream: Stream, window: float) -> Floats:
+    """Horizontal change of velocity from each sample over the following window, m/s, shape (n,)."""
+    j = np.minimum(np.searchsorted(stream.t, stream.t + window), max(stream.t.size - 1, 0))
+    change = stream.v[j, :2] - stream.v[:, :2]
+    return np.hypot(change[:, 0], change[:, 1])
+
+
+def strongest_change(stream: Stream) -> Floats:
+    """Largest horizontal change within `TRIGGER_WINDOW` of each sample, m/s, shape (n,).
+
+    A pulse may be over before the window is: shorter windows are looked at as well.
+    """
+    best = np.zeros(stream.t.size)
+    for share in (0.2, 0.4, 0.6, 0.8, 1.0):
+        np.maximum(best, change_within(stream, share * TRIGGER_WINDOW), out=best)
+    return best
+
+
+def groups(flags: Flags, t: Floats, apart: float) -> list[tuple[int, int]]:
+    """First and last index of every run of flags; runs closer than `apart`, s, are one."""
+    index: Integers = np.flatnonzero(flags)
+    if index.size == 0:
+        return []
+    cut = np.flatnonzero(np.diff(t[index]) > apart)
+    begins = np.concatenate([index[:1], index[cut + 1]])
+    ends = np.concatenate([index[cut], index[-1:]])
+    return list(zip(begins.tolist(), ends.tolist(), strict=True))
+
+
+class Window(NamedTuple):
+    """Indices of an event in its stream: time zero, end of event, end of integration."""
+
+    zero: int
+    end: int
+    last: int
+
+
+def window_around(t: Floats, v: Floats, core: int) -> Window:
+    """Time zero and end of the event that has its strongest change at `core`.
+
+    Parameters
+    ----------
+    t : ndarray, shape (n,)
+    v : ndarray, shape (n, 2)
+        Horizontal velocity from the integrated specific force, m/s.
+    core : int
+        A sample within the pulse.
+
+    Returns
+    -------
+    Window
+        `zero` is the start of the first 20 ms window over the threshold, of those that lead to the core without a
+        pause of 20 ms; `end` closes the first window at or under it after the core.
+    """
+    n = t.size
+    j = np.minimum(np.searchsorted(t, t + WINDOW - 1e-9), n - 1)
+    over = np.hypot(*(v[j] - v).T) > THRESHOLD
+    if not over[core]:  # the strongest window of all may start a sample or two off
+        near = np.flatnonzero(over)
+        if near.size == 0:
+            return Window(core, core, core)
+        core = int(near[np.argmin(np.abs(t[near] - t[core]))])
+    before = np.flatnonzero(over[: core + 1])
+    breaks = np.flatnonzero(np.diff(t[before]) > WINDOW)
+    zero = int(before[breaks[-1] + 1]) if breaks.size else int(before[0])
+    after = core + np.flatnonzero(over[core:])
+    breaks = np.flatnonzero(np.diff(t[after]) > QUIET)
+    final = int(after[breaks[0]]) if breaks.size else int(after[-1])
+    end = int(min(j[min(final + 1, n - 1)], n - 1))
+    last = int(min(np.searchsorted(t, t[end] + AFTER_END), n - 1))
+    return Window(zero, end, last)
