@@ -19,6 +19,8 @@ from server.accounts.service import ensure_organisation
 from server.database import Database
 from server.devices import routes as devices
 from server.edge import Clock
+from server.events import routes as events
+from server.evidence import routes as evidence
 from server.headers import SecurityHeaders
 from server.ingest import routes as ingest
 from server.installations import routes as installations
@@ -27,6 +29,7 @@ from server.live import routes as live
 from server.migrations import is_current
 from server.pages import routes as pages
 from server.pages import templating
+from server.reports import routes as reports
 from server.resources import folder
 from server.settings import Settings
 from server.signals import routes as signals
@@ -103,6 +106,9 @@ def create_app(settings: Settings, *, clock: Clock = utc_now) -> FastAPI:
         ingest,
         installations,
         trips,
+        events,
+        reports,
+        evidence,
         live,
         signals,
         tickets,

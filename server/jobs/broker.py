@@ -106,7 +106,7 @@ class Sender:
 def run_consumer(settings: Settings, *, stop: threading.Event, clock: Clock, queue: str = QUEUE) -> None:
     """Work off what the queue brings, and send again what stays due, until told to stop."""
     from server.jobs.work import bring_up_to_date
-    from server.jobs.worker import start_housekeeping
+    from server.jobs.worker import start_housekeeping, start_sealing
 
     assert settings.broker_url is not None
     database, store = Database(settings), open_store(settings)
@@ -121,6 +121,7 @@ def run_consumer(settings: Settings, *, stop: threading.Event, clock: Clock, que
     worker = dramatiq.Worker(broker, queues={queue}, worker_threads=1)
     worker.start()
     keeper = start_housekeeping(database, store, stop=stop, clock=clock)
+    sealer = start_sealing(database, settings, stop=stop, clock=clock)
     sweep = Sweep(database, broker, queue, clock)
     try:
         while not stop.wait(SWEEP_S):
@@ -130,6 +131,8 @@ def run_consumer(settings: Settings, *, stop: threading.Event, clock: Clock, que
         worker.stop(timeout=STOP_MS)
         broker.close()
         keeper.join()
+        if sealer is not None:
+            sealer.join()
         database.dispose()
 
 
