@@ -37,7 +37,7 @@ from server.store import open_store
 from server.telemetry import RequestTelemetry, Telemetry, log
 from server.trips import routes as trips
 from server.vehicles import routes as vehicles
-from server.view3d import proxy, tickets
+from server.view3d import proxy, replay, tickets
 
 MAX_JSON_BYTES = 1024 * 1024
 # Decoding is work for a core and holds a batch in memory several times over.
@@ -112,6 +112,7 @@ def create_app(settings: Settings, *, clock: Clock = utc_now) -> FastAPI:
         live,
         signals,
         tickets,
+        replay,
         proxy,
         pages,
     ):

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from reportlab.lib.styles import ParagraphStyle
 from reportlab.platypus import Flowable, Paragraph, Table, TableStyle
 
+from server.reports.figures import basis_rows, clock_time, hours, number_rows, risk_rows
 from server.reports.paper import (
     ACCENT,
     AXIS_X,
@@ -95,24 +96,18 @@ def subject_table(document: dict[str, Any], heading: Heading, words: Words, at: 
     return _pairs(rows, width)
 
 
-def clock_time(at: dt.datetime, words: Words) -> str:
-    """Time of day with hundredths."""
-    text = at.strftime("%H:%M:%S.%f")[:-4]
-    return text if words.language == "en" else text.replace(".", ",")
-
-
 def key_figures(document: dict[str, Any], words: Words, width: float) -> Table:
     """The four numbers that everybody asks for."""
     event = document["event"]
     at_least = event["pulse"] is not None and event["pulse"]["peak_is_lower_bound"]
     dv, dv_interval = event["delta_v_kmh"]["resultant"], event["delta_v_interval95_kmh"]["resultant"]
-    hours = "" if event["pdof_clock"] is None else _hours(event["pdof_clock"], words)
+    by_clock = "" if event["pdof_clock"] is None else hours(event["pdof_clock"], words)
     figures = [
         (words("key_dv"), words.number(dv, 0), "km/h", words.interval(dv_interval, 0)),
         (
             words("key_pdof"),
             words.number(event["pdof_deg"], 0),
-            "°" + (f" · {hours}" if hours else ""),
+            "°" + (f" · {by_clock}" if by_clock else ""),
             words.interval(event["pdof_interval95_deg"], 0),
         ),
         (
@@ -144,69 +139,6 @@ def key_figures(document: dict[str, Any], words: Words, width: float) -> Table:
         )
     )
     return table
-
-
-def _hours(clock: int, words: Words) -> str:
-    return f"{clock} {words('oclock')}" if words.language == "en" else f"{words('oclock')} {clock}"
-
-
-def sentences(document: dict[str, Any], words: Words, at: dt.datetime) -> list[str]:
-    """What happened, in words with numbers."""
-    event, clock = document["event"], document["inputs"]["clock"]
-    number = words.number
-    sigma = event["basis"]["utc_sigma_s"] if event["basis"]["utc_sigma_s"] is not None else clock["utc_sigma_s"]
-    told = [
-        words(
-            "s_what",
-            kind=words(event["kind"]),
-            date=words.date(at.year, at.month, at.day),
-            time=clock_time(at, words),
-            sigma=number(sigma, 1),
-        )
-    ]
-    if event["pdof_deg"] is not None:
-        low, high = event["pdof_interval95_deg"]
-        told.append(
-            words(
-                "s_force",
-                where=words(f"where{event['pdof_clock']}"),
-                clock=event["pdof_clock"],
-                pdof=number(event["pdof_deg"], 0),
-                low=number(low, 0),
-                high=number(high, 0),
-            )
-        )
-    told += [
-        words(key, **{name: number(value, 0)}, low=number(interval[0], 0), high=number(interval[1], 0))
-        for key, name, value, interval in (
-            ("s_dv", "dv", event["delta_v_kmh"]["resultant"], event["delta_v_interval95_kmh"]["resultant"]),
-            ("s_speed", "v", event["impact_speed_kmh"], event["impact_speed_interval95_kmh"]),
-            ("s_roll", "angle", event["rollover_angle_deg"], event["rollover_angle_interval95_deg"]),
-        )
-        if value is not None
-    ]
-    return told + _aftermath(event, words)
-
-
-def _aftermath(event: dict[str, Any], words: Words) -> list[str]:
-    number, driver, rest = words.number, event["driver"], event["rest"]
-    told: list[str] = []
-    if driver is not None and driver["braked_from_s"] is not None:
-        told.append(words("s_braked", t=number(-driver["braked_from_s"], 1), a=number(driver["braking_mps2"], 1)))
-    elif driver is not None:
-        told.append(words("s_not_braked"))
-    for second in event["second_impacts"]:
-        low, high = second["resultant_interval95_kmh"]
-        after = number(second["t0_s"] - event["t0_s"], 1)
-        told.append(
-            words("s_second", t=after, dv=number(second["resultant_kmh"], 0), low=number(low, 0), high=number(high, 0))
-        )
-    if rest is not None and rest["distance_m"] is not None:
-        after, radius = number(rest["t_s"] - event["t0_s"], 1), number(rest["radius95_m"], 1)
-        told.append(words("s_rest", t=after, d=number(rest["distance_m"], 0), r=radius))
-    if event["clipped"]:
-        told.append(words("s_clipped", n=event["clipped_samples"]))
-    return told
 
 
 def sketch(document: dict[str, Any], words: Words, width: float) -> Flowable:
@@ -306,80 +238,6 @@ def driver_tables(event: dict[str, Any], words: Words, width: float) -> list[Flo
     return [_table([heads, *rows], (0.2,) * 5, width), _pairs(facts, width)]
 
 
-def numbers_table(event: dict[str, Any], words: Words, width: float) -> Table:
-    """Every number with its interval; what is not known is not recorded."""
-    rows: list[list[Any]] = [[words(key) for key in ("n_name", "n_value", "n_interval", "n_unit")]]
-
-    def add(
-        key: str, value: float | None, interval: list[float] | None, unit: str, digits: int = 1, **names: Any
-    ) -> None:
-        rows.append([words(key, **names), words.number(value, digits), words.interval(interval, digits), unit])
-
-    if event["pulse"] is None:
-        add("n_peak_event", event["peak_g"], None, "g", 2)
-        add("n_length", event["t_end_s"] - event["t0_s"], None, "s", 2)
-        return _table(rows, (0.46, 0.18, 0.24, 0.12), width)
-    pulse, indices = event["pulse"], event["indices"]
-    for key, name in (("n_dvx", "longitudinal"), ("n_dvy", "lateral"), ("n_dvr", "resultant")):
-        add(key, event["delta_v_kmh"][name], event["delta_v_interval95_kmh"][name], "km/h")
-    add("n_tmax", event["time_of_max_ms"], None, "ms")
-    add("n_pdof", event["pdof_deg"], event["pdof_interval95_deg"], "°")
-    add("n_clock", event["pdof_clock"], None, words("oclock"), 0)
-    add("n_speed", event["impact_speed_kmh"], event["impact_speed_interval95_kmh"], "km/h")
-    add("n_rebound", event["rebound_kmh"], event["rebound_interval95_kmh"], "km/h")
-    add("n_peak", pulse["peak_g"], None, f"g, {words('at_least')}" if pulse["peak_is_lower_bound"] else "g")
-    rows.append([words("n_filter"), pulse["filter"], "\N{EN DASH}", ""])
-    add("n_mean", pulse["mean_g"], None, "g")
-    add("n_duration", pulse["duration_ms"], None, "ms", 0)
-    add("n_measured", pulse["measured_delta_v_kmh"], None, "km/h")
-    add("n_gps", pulse["gps_delta_v_kmh"], None, "km/h")
-    for k, second in enumerate(event["second_impacts"], start=2):
-        add("n_second", second["resultant_kmh"], second["resultant_interval95_kmh"], "km/h", k=k)
-        add("n_second_pdof", second["pdof_deg"], second["pdof_interval95_deg"], "°", k=k)
-    add("n_roll", event["rollover_angle_deg"], event["rollover_angle_interval95_deg"], "°")
-    add("n_asi", indices["asi_en1317_2010"], None, "", 2)
-    add("n_asi98", indices["asi_en1317_1998"], None, "", 2)
-    add("n_olc", indices["olc_g"], None, "g")
-    add("n_thiv", indices["thiv_kmh"], None, "km/h")
-    add("n_phd", indices["phd_g"], None, "g")
-    return _table(rows, (0.46, 0.18, 0.22, 0.14), width)
-
-
-def risk_table(event: dict[str, Any], words: Words, width: float) -> Table:
-    """Probabilities by published curves."""
-    rows: list[list[Any]] = [[words(key) for key in ("r_curve", "r_people", "r_level", "r_p", "n_interval")]]
-    for risk in event["injuries"]:
-        value = next(value for name, value in risk.items() if name.startswith("p_"))
-        interval = [100.0 * end for end in risk["interval95"]]
-        told = f"{words.number(100.0 * value, 1)} %"
-        rows.append([risk["curve"], risk["population"], risk["level"], told, words.interval(interval, 1)])
-    return _table(rows, (0.22, 0.42, 0.1, 0.11, 0.15), width)
-
-
-def basis_table(document: dict[str, Any], words: Words, width: float) -> Table:
-    """Rate, full scale, fixes, lag, mounting."""
-    event = document["event"]
-    basis, number = event["basis"], words.number
-    sigma, lag = basis["mounting_sigma_deg"], basis["gps_lag_s"]
-    first, last = basis["window_s"]
-    rows = [
-        (words("q_rate"), f"{number(basis['sample_rate_hz'], 0)} Hz"),
-        (
-            words("q_scale"),
-            words("not_recorded") if basis["full_scale_g"] is None else f"{number(basis['full_scale_g'], 1)} g",
-        ),
-        (words("q_clip"), str(event["clipped_samples"])),
-        (words("q_gyro"), words("yes" if basis["gyro"] else "no")),
-        (words("q_fixes"), f"{basis['fixes_before']} / {basis['fixes_after']}"),
-        (words("q_lag"), " / ".join(number(lag[name], 2) for name in ("speed", "course")) + " s"),
-        (words("q_mount"), words(basis["mounting_status"])),
-        (words("q_sigma"), words("not_recorded") if sigma is None else " / ".join(number(s, 2) for s in sigma) + " °"),
-        (words("q_window"), f"{number(first, 2)} … {number(last, 2)} s"),
-        (words("q_conf"), number(event["confidence"], 2)),
-    ]
-    return _pairs(rows, width)
-
-
 def provenance_tables(document: dict[str, Any], event_sha256: str, words: Words, width: float) -> list[Flowable]:
     """Versions and hashes."""
     inputs, software = document["inputs"], document["software"]
@@ -413,3 +271,20 @@ def provenance_tables(document: dict[str, Any], event_sha256: str, words: Words,
     if left:
         found.append(Paragraph(words("link_more", n=left), HEAD))
     return found
+
+
+def numbers_table(event: dict[str, Any], words: Words, width: float) -> Table:
+    """Every number with its interval; what is not known is not recorded."""
+    heads = [words(key) for key in ("n_name", "n_value", "n_interval", "n_unit")]
+    return _table([heads, *map(list, number_rows(event, words))], (0.46, 0.18, 0.22, 0.14), width)
+
+
+def risk_table(event: dict[str, Any], words: Words, width: float) -> Table:
+    """Probabilities by published curves."""
+    heads = [words(key) for key in ("r_curve", "r_people", "r_level", "r_p", "n_interval")]
+    return _table([heads, *map(list, risk_rows(event, words))], (0.22, 0.42, 0.1, 0.11, 0.15), width)
+
+
+def basis_table(document: dict[str, Any], words: Words, width: float) -> Table:
+    """Rate, full scale, fixes, lag, mounting."""
+    return _pairs(list(basis_rows(document, words)), width)

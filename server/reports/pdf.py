@@ -28,6 +28,7 @@ from reportlab.platypus import (
 
 from server.events.exports import utc_t0
 from server.reports import parts
+from server.reports.figures import sentences
 from server.reports.paper import BOLD, INK, LINE, MONO, MUTED, PLAIN, load_fonts
 from server.reports.words import Language, Words
 
@@ -136,7 +137,7 @@ def _story(document: dict[str, Any], heading: Heading, words: Words) -> list[Flo
     story.append(Paragraph(words("summary"), SECTION))
     if severe:
         story += [parts.key_figures(document, words, WIDTH), Spacer(1, 8)]
-    story += [Paragraph(sentence, BODY) for sentence in parts.sentences(document, words, at)]
+    story += [Paragraph(sentence, BODY) for sentence in sentences(document, words, at)]
     if severe:
         sketch = [Paragraph(words("sketch"), SECTION), parts.sketch(document, words, WIDTH)]
         story += [KeepTogether(sketch), PageBreak(), Paragraph(words("curves"), SECTION)]

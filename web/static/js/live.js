@@ -6,7 +6,7 @@ import { formatTimes } from "./time.js";
 
 /** @typedef {{at: string, device_id: string | null, vehicle_id: string | null}} Change */
 
-const KINDS = ["batch", "installation", "trip", "position", "moved", "device", "vehicle"];
+const KINDS = ["batch", "installation", "trip", "position", "moved", "device", "vehicle", "event"];
 /** Changes come in crowds; a second's worth of them is one fetch. */
 const SETTLE_MS = 1000;
 const RETRY_MS = 5000;
