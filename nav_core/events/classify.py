@@ -197,7 +197,8 @@ class Signs(NamedTuple):
     """Specific force afterwards, V axes, m/s²."""
     before: float | None
     after: float | None
-    """Speed by GPS, m/s."""
+    later: float | None
+    """Speed by GPS just before, just after and eight seconds later, m/s."""
 
 
 def signs_of(scene: Scene, window: Window) -> Signs:
@@ -224,6 +225,7 @@ def signs_of(scene: Scene, window: Window) -> Signs:
         down_after=down,
         before=scene.speed_before(t0),
         after=scene.speed_after(t_end),
+        later=scene.speed_after(t_end + 8.0),
     )
 
 
@@ -270,7 +272,8 @@ def _judged(scene: Scene, first: int, last: int) -> Finding:
 def _verdict(signs: Signs, stood: bool) -> tuple[EventKind, float, tuple[Remark, ...]]:
     moved = signs.before is not None and signs.before > MOVES
     unaffected = _unaffected(signs)
-    if signs.fell and not (moved and unaffected is False):
+    drove_on = signs.later is not None and signs.later > MOVES
+    if signs.fell and (drove_on or not (moved and unaffected is False)):
         return "handling", 0.95, (Remark("free_fall", "The box fell freely before the shock."),)
     if moved and unaffected:
         kind: EventKind = "handling" if signs.turned > TURNED else "road_shock"
@@ -280,7 +283,9 @@ def _verdict(signs: Signs, stood: bool) -> tuple[EventKind, float, tuple[Remark,
     if signs.kept < LASTS and unaffected is not False:
         kind = "handling" if stood else "road_shock"
         return kind, 0.8, (Remark("not_lasting", "The change of velocity was given back within a quarter second."),)
-    if _on_its_side(signs) and moved:
+    if drove_on and signs.turned > TURNED and not _slowed(signs):
+        return "handling", 0.8, (Remark("drove_on", "The box lies differently after it, and the vehicle drove on."),)
+    if _on_its_side(signs) and moved and not drove_on:
         return "rollover", 0.9, ()
     remarks: tuple[Remark, ...] = ()
     if signs.turned > TURNED:
@@ -303,6 +308,13 @@ def _unaffected(signs: Signs) -> bool | None:
         return False
     # Across the way a change v turns the course and adds v²/(2 speed): not seen in the speed.
     return None if signs.kept >= LASTS else seen < max(0.2 * signs.change, 0.8)
+
+
+def _slowed(signs: Signs) -> bool:
+    """Whether the fixes show most of the change as a change of speed."""
+    if signs.before is None or signs.after is None:
+        return False
+    return abs(signs.after - signs.before) > 0.6 * signs.change
 
 
 def _on_its_side(signs: Signs) -> bool:
@@ -406,10 +418,13 @@ def _tilted(scene: Scene, found: list[Finding]) -> list[Finding]:
         if at[last] - at[first] < 1.0 or near:
             continue
         k = int(edges[full[first]])
-        window = Window(k, min(int(edges[full[last] + 1]), stream.t.size - 1), min(k + 1, stream.t.size - 1))
+        soon = min(int(np.searchsorted(stream.t, stream.t[k] + 0.5)), stream.t.size - 1)
+        window = Window(k, soon, soon)
         speed = scene.speed_before(t - 1.0)
         down = means[first : last + 1].mean(axis=0)
+        later = scene.speed_after(t + 8.0)
         rolled = speed is not None and speed > MOVES and abs(down[0]) < 0.4 * STANDARD_GRAVITY
+        rolled = rolled and (later is None or later < MOVES)  # on its side no vehicle drives on
         kind: EventKind = "rollover" if rolled else "handling"
         remark = Remark("lies_differently", f"The box leans by {np.degrees(lean[first : last + 1].max()):.0f}°.")
         out.append(Finding(kind, window, 0.8, peak_of(stream, window), (remark,)))
