@@ -167,7 +167,7 @@ def _restored(case: Case, blow: Blow, flags: Flags) -> tuple[Floats, float]:
 def _seen(case: Case, gnss: Gnss, known: Before, blow: Blow, trace: Floats) -> After | None:
     rest = slice(blow.last, None)
     path = blow.t[rest], trace[rest, :2] - trace[blow.last, :2]
-    return after(gnss, case.lags, known, float(blow.t[blow.last]), path, spinning=False)
+    return after(gnss, case.lags, known, float(blow.t[blow.last]), path)
 
 
 def _covariance(case: Case, blow: Blow, d: Floats, k: int, steady: Steady) -> Floats:

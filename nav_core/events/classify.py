@@ -269,10 +269,28 @@ def _judged(scene: Scene, first: int, last: int) -> Finding:
     return Finding(kind, window, confidence, peak_of(stream, window), remarks)
 
 
-def _verdict(signs: Signs, stood: bool) -> tuple[EventKind, float, tuple[Remark, ...]]:
+Verdict = tuple[EventKind, float, tuple[Remark, ...]]
+
+
+def _verdict(signs: Signs, stood: bool) -> Verdict:
     moved = signs.before is not None and signs.before > MOVES
-    unaffected = _unaffected(signs)
     drove_on = signs.later is not None and signs.later > MOVES
+    harmless = _harmless(signs, stood, moved, drove_on)
+    if harmless is not None:
+        return harmless
+    if _on_its_side(signs) and moved and not drove_on:
+        return "rollover", 0.9, ()
+    remarks: tuple[Remark, ...] = ()
+    if signs.turned > TURNED:
+        degrees = float(np.degrees(signs.turned))
+        remarks = (Remark("box_turned", f"The box lies {degrees:.0f}° differently after it."),)
+    certain = 0.99 if _unaffected(signs) is False or signs.change > 1.5 * TRIGGER else 0.9
+    return "crash", certain, remarks
+
+
+def _harmless(signs: Signs, stood: bool, moved: bool, drove_on: bool) -> Verdict | None:
+    """Why what met the trigger was no blow to the vehicle; None when it was one."""
+    unaffected = _unaffected(signs)
     if signs.fell and (drove_on or not (moved and unaffected is False)):
         return "handling", 0.95, (Remark("free_fall", "The box fell freely before the shock."),)
     if moved and unaffected:
@@ -285,14 +303,7 @@ def _verdict(signs: Signs, stood: bool) -> tuple[EventKind, float, tuple[Remark,
         return kind, 0.8, (Remark("not_lasting", "The change of velocity was given back within a quarter second."),)
     if drove_on and signs.turned > TURNED and not _slowed(signs):
         return "handling", 0.8, (Remark("drove_on", "The box lies differently after it, and the vehicle drove on."),)
-    if _on_its_side(signs) and moved and not drove_on:
-        return "rollover", 0.9, ()
-    remarks: tuple[Remark, ...] = ()
-    if signs.turned > TURNED:
-        degrees = float(np.degrees(signs.turned))
-        remarks = (Remark("box_turned", f"The box lies {degrees:.0f}° differently after it."),)
-    certain = 0.99 if unaffected is False or signs.change > 1.5 * TRIGGER else 0.9
-    return "crash", certain, remarks
+    return None
 
 
 def _unaffected(signs: Signs) -> bool | None:
