@@ -5,7 +5,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 PYTEST_WORKERS ?= 2
 
-.PHONY: help setup run test check bench vendor lock clean
+.PHONY: help setup run test check bench bench-crash vendor lock clean
 .DEFAULT_GOAL := help
 
 help:  ## This list
@@ -30,6 +30,9 @@ check: setup node_modules/ready  ## Lint, types, architecture, JavaScript, migra
 
 bench: setup  ## Speed of the numerics and of the ingest path
 	$(BIN)/python benchmarks/run.py
+
+bench-crash: setup  ## 500 simulated crashes, 200 hours without one; writes docs/crash-benchmark.md (half an hour)
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/crash.py
 
 vendor: node_modules/ready  ## Copy the pinned front-end libraries into web/vendor
 	node scripts/vendor.mjs

@@ -23,8 +23,11 @@ MARGIN = 0.5
 SCALE = 0.004
 """1 sigma of the accelerometer's scale, share."""
 
-ROTATION = np.radians(0.5)
-"""1 sigma of what turning axes do to the direction where no gyro holds them, rad."""
+ROTATION = np.radians(0.25)
+"""1 sigma of the direction of the axes besides the mounting, rad."""
+
+HELD = 0.1
+"""Share of a turn during the blow that a gyro sampled with the accelerometer may miss, 1 sigma."""
 
 JITTER = 0.025
 """1 sigma of vibration and noise left in an integral, m/s."""
@@ -164,7 +167,7 @@ def _restored(case: Case, blow: Blow, flags: Flags) -> tuple[Floats, float]:
 def _seen(case: Case, gnss: Gnss, known: Before, blow: Blow, trace: Floats) -> After | None:
     rest = slice(blow.last, None)
     path = blow.t[rest], trace[rest, :2] - trace[blow.last, :2]
-    return after(gnss, case.lags, known, float(blow.t[blow.last]), path, spinning=False)
+    return after(gnss, case.lags, known, float(blow.t[blow.last]), path)
 
 
 def _covariance(case: Case, blow: Blow, d: Floats, k: int, steady: Steady) -> Floats:
@@ -175,7 +178,8 @@ def _covariance(case: Case, blow: Blow, d: Floats, k: int, steady: Steady) -> Fl
     elapsed = float(blow.t[k] - blow.t[blow.zero])
     every = (steady.sigma * elapsed) ** 2 + JITTER**2
     alias = float(np.interp(np.log(case.rate), np.log(ALIASING[0]), ALIASING[1]))
-    turn = case.sigma[2] ** 2 + (ROTATION**2 if blow.w is None else 0.0)
+    turned = float(np.arctan2(blow.C[k, 1, 0], blow.C[k, 0, 0]))
+    turn = case.sigma[2] ** 2 + ROTATION**2 + (HELD * turned) ** 2
     # An open heading leaves the resultant as sure as it is.
     turn = min(turn, 1.0)
     return (

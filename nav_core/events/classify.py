@@ -14,6 +14,7 @@ from nav_core.earth import STANDARD_GRAVITY
 from nav_core.events.record import EventKind, VehicleClass
 from nav_core.events.trigger import (
     MULTI_EVENT,
+    THRESHOLD,
     TRIGGER,
     Stream,
     Window,
@@ -48,6 +49,12 @@ OVER = np.radians(55.0)
 
 LASTS = 0.35
 """A blow keeps at least this share of its change 0.25 s later."""
+
+CARRIED = 1.2
+"""Scatter of the force within a second at standstill of a box that is carried about, m/s²: no engine idles so."""
+
+PARKED_PEAK = 5.0
+"""Least force of a bump, m/s²: no vehicle pulls away so hard."""
 
 STILL = 0.16
 """Scatter of the force within 0.2 s at standstill, m/s², with the engine running."""
@@ -110,14 +117,8 @@ class Scene(NamedTuple):
         speed, earlier = self.speed_before(t), self.speed_before(t - 2.0)
         if speed is not None:
             return speed < STANDS and (earlier is None or earlier < STANDS)
-        first, last = np.searchsorted(self.stream.t, [t - 2.0, t - 0.1])
-        if self.stream.t[max(int(last) - 1, 0)] - self.stream.t[min(int(first), int(last))] < 1.0:
-            return False
-        part = self.stream.f[first:last]
-        step = float(np.median(np.diff(self.stream.t[first:last])))
-        width = max(round(0.2 / step), 2)
-        rows = part[: part.shape[0] // width * width].reshape(-1, width, 3)
-        return bool(np.median(rows.std(axis=1)) < STILL)
+        scatter = _scatter(self.stream, t - 2.0, t - 0.1)
+        return scatter is not None and scatter < STILL
 
 
 def scene_of(
@@ -127,6 +128,24 @@ def scene_of(
     none = np.zeros(0)
     fix_t, fix_speed = (none, none) if gnss is None else (gnss.t - speed_lag, gnss.speed)
     return Scene(stream, fix_t, fix_speed, min(lag_sigma, 0.2), vehicle_class)
+
+
+def _scatter(stream: Stream, begin: float, end: float) -> float | None:
+    """Usual scatter of the force within fifths of a second, each axis, m/s²; None of less than a second."""
+    first, last = np.searchsorted(stream.t, [begin, end])
+    if last - first < 8 or stream.t[last - 1] - stream.t[first] < 1.0:
+        return None
+    step = float(np.median(np.diff(stream.t[first:last])))
+    width = max(round(0.2 / step), 2)
+    part = stream.f[first:last]
+    rows = part[: part.shape[0] // width * width].reshape(-1, width, 3)
+    return float(np.median(rows.std(axis=1)))
+
+
+def _restless(stream: Stream, begin: float, end: float) -> float:
+    """Scatter of the force about its mean, all axes, m/s²; 0 without samples."""
+    first, last = np.searchsorted(stream.t, [begin, end])
+    return float(np.linalg.norm(stream.f[first:last].std(axis=0))) if last - first > 4 else 0.0
 
 
 def find(scene: Scene) -> list[Finding]:
@@ -150,11 +169,11 @@ def _core(stream: Stream, first: int, last: int) -> int:
     return first + int(np.argmax(change_within(part, 0.020)))
 
 
-def _window(stream: Stream, core: int) -> Window:
+def _window(stream: Stream, core: int, *, threshold: float = THRESHOLD) -> Window:
     """Window of the event around a core, looked for within two seconds of it."""
     begin, stop = np.searchsorted(stream.t, [stream.t[core] - 1.5, stream.t[core] + 2.0])
     part = slice(int(begin), int(stop))
-    inside = window_around(stream.t[part], stream.v[part, :2], core - int(begin))
+    inside = window_around(stream.t[part], stream.v[part, :2], core - int(begin), threshold=threshold)
     return Window(*(each + int(begin) for each in inside))
 
 
@@ -178,7 +197,8 @@ class Signs(NamedTuple):
     """Specific force afterwards, V axes, m/s²."""
     before: float | None
     after: float | None
-    """Speed by GPS, m/s."""
+    later: float | None
+    """Speed by GPS just before, just after and eight seconds later, m/s."""
 
 
 def signs_of(scene: Scene, window: Window) -> Signs:
@@ -205,6 +225,7 @@ def signs_of(scene: Scene, window: Window) -> Signs:
         down_after=down,
         before=scene.speed_before(t0),
         after=scene.speed_after(t_end),
+        later=scene.speed_after(t_end + 8.0),
     )
 
 
@@ -239,14 +260,38 @@ def _judged(scene: Scene, first: int, last: int) -> Finding:
     stream = scene.stream
     window = _window(stream, _core(stream, first, last))
     signs = signs_of(scene, window)
-    kind, confidence, remarks = _verdict(signs, scene.stands_before(float(stream.t[window.zero])))
+    t0 = float(stream.t[window.zero])
+    stood = scene.stands_before(t0)
+    if stood and _restless(stream, t0 - 1.2, t0 - 0.1) > CARRIED:
+        remark = Remark("shaken_before", "The box was moved about before the shock while its vehicle stood.")
+        return Finding("handling", window, 0.85, peak_of(stream, window), (remark,))
+    kind, confidence, remarks = _verdict(signs, stood)
     return Finding(kind, window, confidence, peak_of(stream, window), remarks)
 
 
-def _verdict(signs: Signs, stood: bool) -> tuple[EventKind, float, tuple[Remark, ...]]:
+Verdict = tuple[EventKind, float, tuple[Remark, ...]]
+
+
+def _verdict(signs: Signs, stood: bool) -> Verdict:
     moved = signs.before is not None and signs.before > MOVES
+    drove_on = signs.later is not None and signs.later > MOVES
+    harmless = _harmless(signs, stood, moved, drove_on)
+    if harmless is not None:
+        return harmless
+    if _on_its_side(signs) and moved and not drove_on:
+        return "rollover", 0.9, ()
+    remarks: tuple[Remark, ...] = ()
+    if signs.turned > TURNED:
+        degrees = float(np.degrees(signs.turned))
+        remarks = (Remark("box_turned", f"The box lies {degrees:.0f}° differently after it."),)
+    certain = 0.99 if _unaffected(signs) is False or signs.change > 1.5 * TRIGGER else 0.9
+    return "crash", certain, remarks
+
+
+def _harmless(signs: Signs, stood: bool, moved: bool, drove_on: bool) -> Verdict | None:
+    """Why what met the trigger was no blow to the vehicle; None when it was one."""
     unaffected = _unaffected(signs)
-    if signs.fell and not (moved and unaffected is False):
+    if signs.fell and (drove_on or not (moved and unaffected is False)):
         return "handling", 0.95, (Remark("free_fall", "The box fell freely before the shock."),)
     if moved and unaffected:
         kind: EventKind = "handling" if signs.turned > TURNED else "road_shock"
@@ -256,14 +301,9 @@ def _verdict(signs: Signs, stood: bool) -> tuple[EventKind, float, tuple[Remark,
     if signs.kept < LASTS and unaffected is not False:
         kind = "handling" if stood else "road_shock"
         return kind, 0.8, (Remark("not_lasting", "The change of velocity was given back within a quarter second."),)
-    if _on_its_side(signs) and moved:
-        return "rollover", 0.9, ()
-    remarks: tuple[Remark, ...] = ()
-    if signs.turned > TURNED:
-        degrees = float(np.degrees(signs.turned))
-        remarks = (Remark("box_turned", f"The box lies {degrees:.0f}° differently after it."),)
-    certain = 0.99 if unaffected is False or signs.change > 1.5 * TRIGGER else 0.9
-    return "crash", certain, remarks
+    if drove_on and signs.turned > TURNED and not _slowed(signs):
+        return "handling", 0.8, (Remark("drove_on", "The box lies differently after it, and the vehicle drove on."),)
+    return None
 
 
 def _unaffected(signs: Signs) -> bool | None:
@@ -279,6 +319,13 @@ def _unaffected(signs: Signs) -> bool | None:
         return False
     # Across the way a change v turns the course and adds v²/(2 speed): not seen in the speed.
     return None if signs.kept >= LASTS else seen < max(0.2 * signs.change, 0.8)
+
+
+def _slowed(signs: Signs) -> bool:
+    """Whether the fixes show most of the change as a change of speed."""
+    if signs.before is None or signs.after is None:
+        return False
+    return abs(signs.after - signs.before) > 0.6 * signs.change
 
 
 def _on_its_side(signs: Signs) -> bool:
@@ -306,7 +353,7 @@ def _swipes(scene: Scene, found: list[Finding]) -> list[Finding]:
     sideways = (np.abs(stream.v[j, 1] - stream.v[:, 1]) >= SWIPE_CHANGE) & _free(stream, found, 1.0)
     out: list[Finding] = []
     for first, last in groups(sideways, stream.t, 0.3):
-        window = _window(stream, _core(stream, first, last))
+        window = _window(stream, _core(stream, first, last), threshold=THRESHOLD / 2.0)
         signs = signs_of(scene, window)
         moved = signs.before is not None and signs.before > MOVES
         if not moved or signs.fell or signs.turned > TURNED or signs.kept < 0.6:
@@ -324,14 +371,25 @@ def _bumps(scene: Scene, violent: Floats, found: list[Finding]) -> list[Finding]
     for first, last in groups(loud, stream.t, 0.5):
         if not scene.stands_before(float(stream.t[first]) - 0.1):
             continue
-        window = _window(stream, _core(stream, first, last))
+        window = _window(stream, _core(stream, first, last), threshold=THRESHOLD / 4.0)
         signs = signs_of(scene, window)
         if signs.fell or signs.turned > TURNED:
             remark = Remark("box_turned", "The box was moved while its vehicle stood.")
             out.append(Finding("handling", window, 0.9, peak_of(stream, window), (remark,)))
-        elif _bump(stream, window):
+        elif _bump(stream, window) and _stays(scene, window):
             out.append(Finding("parked_impact", window, 0.8, peak_of(stream, window)))
     return out
+
+
+def _stays(scene: Scene, window: Window) -> bool:
+    """Whether the vehicle stood quietly before and stands again soon, as far as recorded: it did not just pull away."""
+    stream = scene.stream
+    t0, t_end = float(stream.t[window.zero]), float(stream.t[window.end])
+    before, after = _scatter(stream, t0 - 2.1, t0 - 0.05), _scatter(stream, t_end + 2.0, t_end + 4.0)
+    if max(before or 0.0, after or 0.0) > 2.0 * STILL:
+        return False
+    speed = scene.speed_after(t_end + 1.0)
+    return speed is None or speed < STANDS
 
 
 def _bump(stream: Stream, window: Window) -> bool:
@@ -342,8 +400,10 @@ def _bump(stream: Stream, window: Window) -> bool:
     size = np.hypot(v[:, 0], v[:, 1])
     length = float(stream.t[window.end] - stream.t[window.zero])
     level = size.max() > 1.5 * np.abs(v[:, 2]).max()
-    path = float((np.hypot(a[:, 0], a[:, 1]) * stream.step[part]).sum())
-    return bool(size.max() >= PARKED_CHANGE and level and length >= 0.035 and size.max() > 0.45 * path)
+    force = np.hypot(a[:, 0], a[:, 1])
+    one_way = size.max() > 0.45 * float((force * stream.step[part]).sum())
+    hard = size.max() >= PARKED_CHANGE and force.max() >= PARKED_PEAK
+    return bool(hard and level and one_way and length >= 0.035)
 
 
 def _tilted(scene: Scene, found: list[Finding]) -> list[Finding]:
@@ -369,10 +429,13 @@ def _tilted(scene: Scene, found: list[Finding]) -> list[Finding]:
         if at[last] - at[first] < 1.0 or near:
             continue
         k = int(edges[full[first]])
-        window = Window(k, min(int(edges[full[last] + 1]), stream.t.size - 1), min(k + 1, stream.t.size - 1))
+        soon = min(int(np.searchsorted(stream.t, stream.t[k] + 0.5)), stream.t.size - 1)
+        window = Window(k, soon, soon)
         speed = scene.speed_before(t - 1.0)
         down = means[first : last + 1].mean(axis=0)
+        later = scene.speed_after(t + 8.0)
         rolled = speed is not None and speed > MOVES and abs(down[0]) < 0.4 * STANDARD_GRAVITY
+        rolled = rolled and (later is None or later < MOVES)  # on its side no vehicle drives on
         kind: EventKind = "rollover" if rolled else "handling"
         remark = Remark("lies_differently", f"The box leans by {np.degrees(lean[first : last + 1].max()):.0f}°.")
         out.append(Finding(kind, window, 0.8, peak_of(stream, window), (remark,)))

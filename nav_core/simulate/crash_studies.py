@@ -1,4 +1,4 @@
-"""Simulated crashes with their truth, and what the reconstruction made of them; seeds are fixed by the caller."""
+"""Studies of the crash reconstruction: simulated crashes against their truth, and hours of driving without any."""
 
 from __future__ import annotations
 
@@ -11,11 +11,13 @@ from nav_core.earth import STANDARD_GRAVITY
 from nav_core.events.record import CrashEvent, Estimate
 from nav_core.mounting import estimate_mounting
 from nav_core.rotation import wrap
-from nav_core.simulate import Impact, Scenario, TrueEvent, simulate
+from nav_core.simulate.drive import simulate
+from nav_core.simulate.scenario import Impact, PulseShape, RouteName, Scenario, TrueEvent
+from nav_core.simulate.shocks import shaken
 
 KMH = 3.6
-ROUTES = ("urban", "highway", "gentle", "roundabout")
-SHAPES = ("haversine", "half_sine", "triangle")
+ROUTES: tuple[RouteName, ...] = ("urban", "highway", "gentle", "roundabout")
+SHAPES: tuple[PulseShape, ...] = ("haversine", "half_sine", "triangle")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,6 +78,14 @@ def crash(seed: int, *, gyro: bool = False, yaw_rate: float = 0.0) -> Outcome:
 
     12-60 km/h, any direction, 70-160 ms, three shapes, ±8, 11 or 16 g at 200 Hz, 4 fixes per second, any mounting,
     which is estimated from the same five minutes.
+
+    Parameters
+    ----------
+    seed : int
+    gyro : bool
+        The box has one.
+    yaw_rate : float
+        Largest change of turn rate by the blow, rad/s.
     """
     rng = np.random.default_rng((563, seed))
     full_scale = float(rng.choice([8.0, 11.0, 16.0]))
@@ -89,7 +99,7 @@ def crash(seed: int, *, gyro: bool = False, yaw_rate: float = 0.0) -> Outcome:
         speed=float(rng.uniform(15.0, 90.0)) / KMH,
     )
     scenario = Scenario(
-        route=ROUTES[int(rng.integers(len(ROUTES)))],  # pyright: ignore[reportArgumentType]
+        route=ROUTES[int(rng.integers(len(ROUTES)))],
         duration=300.0,
         accel_full_scale=full_scale * STANDARD_GRAVITY,
         impacts=(impact,),
@@ -107,3 +117,35 @@ def crash(seed: int, *, gyro: bool = False, yaw_rate: float = 0.0) -> Outcome:
         truth=true,
         event=near[0] if near else None,
     )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Hours:
+    """What the detector said of driving without a crash."""
+
+    hours: float
+    shocks: dict[str, int]
+    kinds: dict[str, int]
+    alarms: tuple[str, ...]
+
+
+def ordinary(seed: int, *, minutes: float = 30.0) -> Hours:
+    """Half an hour of driving with potholes, kerbs, doors, drops and braking to 1 g, and no crash."""
+    rng = np.random.default_rng((1317, seed))
+    full_scale = float(rng.choice([8.0, 11.0, 16.0])) * STANDARD_GRAVITY
+    scenario = Scenario(
+        route=ROUTES[int(rng.integers(len(ROUTES)))],
+        duration=60.0 * minutes,
+        accel_full_scale=full_scale,
+    )
+    drive, truth = simulate(scenario, seed=seed)
+    rough, shocks = shaken(drive, truth, full_scale=full_scale, rng=rng)
+    events = reconstruct_drive(rough, estimate_mounting(rough))
+    kinds: dict[str, int] = {}
+    for each in events:
+        kinds[each.kind] = kinds.get(each.kind, 0) + 1
+    names: dict[str, int] = {}
+    for shock in shocks:
+        names[shock.name] = names.get(shock.name, 0) + 1
+    false = tuple(f"{each.kind} at {each.t0:.2f} s of seed {seed}" for each in events if each.severe)
+    return Hours(hours=minutes / 60.0, shocks=names, kinds=kinds, alarms=false)
