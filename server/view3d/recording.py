@@ -27,7 +27,6 @@ KEPT = 16
 """Recordings in memory; each is some 100 KB."""
 
 _FORCE, _PATH_BEFORE, _PATH_AFTER, _LINE = (217, 58, 58), (29, 91, 201), (189, 39, 39), (104, 116, 130)
-_LABEL_EVERY = 4
 
 
 class Replays:
@@ -87,18 +86,15 @@ class _Replay:
         draw_body(scene, "/vehicle/body", self._body)
         _frame(scene, "/vehicle/v", np.array(self._body.box), ("x", "y", "z"), 1.6, 0.03)
         force = self._draw_force()
-        words = scene.add_label("/words", "", position=(0.0, 0.0, 4.2), anchor="bottom-center", font_screen_scale=1.2)
+        self._draw_seconds()
         self._aim()
         recording = self._server.get_scene_serializer()
         for k, t in enumerate(way.t.tolist()):
             with self._server.atomic():
-                position, turn, speed = way.at(k)
+                position, turn = way.at(k)
                 vehicle.position, vehicle.wxyz = position, wxyz(turn)
                 if force is not None and force.visible != (t >= 0.0):
                     force.visible = t >= 0.0
-                if k % _LABEL_EVERY == 0:
-                    known = "" if speed is None else f"  ·  {speed:.0f} km/h"
-                    words.text = f"t = {t:+.1f} s{known}".replace("-", "\N{MINUS SIGN}")
             recording.insert_sleep(1.0 / FRAMES_PER_S)
         return recording.serialize()
 
@@ -118,6 +114,21 @@ class _Replay:
             if len(points) > 1:
                 segments = np.stack([points[:-1], points[1:]], axis=1).astype(np.float32)
                 self._scene.add_line_segments(f"/path/{name}", segments, colour, thickness=0.06)
+
+    def _draw_seconds(self) -> None:
+        """Milestones beside the path: time and speed, every second until the vehicle rests."""
+        way = self._way
+        side = R_WORLD_V @ way.turn_at_zero @ np.array([0.0, 1.6, 0.0])
+        last: Floats | None = None
+        for k in np.flatnonzero(np.abs(way.t - np.round(way.t)) < 0.5 / FRAMES_PER_S).tolist():
+            place = way.positions[k]
+            if last is not None and np.linalg.norm(place - last) < 1.0:
+                continue
+            last = place
+            speed = "" if not np.isfinite(way.speed[k]) else f" · {way.speed[k]:.0f} km/h"
+            words = f"{way.t[k]:+.0f} s{speed}".replace("-", "\N{MINUS SIGN}").replace("+0", "0")
+            self._scene.add_icosphere(f"/seconds/{k}", 0.12, _LINE, position=place)
+            self._scene.add_label(f"/seconds/{k}_label", words, position=place + side, anchor="center-left")
 
     def _draw_force(self) -> viser.FrameHandle | None:
         """The arrow where the force came from, and its 95 % sector on the ground; children of the vehicle."""
@@ -180,7 +191,7 @@ class Way:
         if way is None or known.size < 2:
             self.t = np.arange(-1.0, 1.0 + 1e-9, 1.0 / FRAMES_PER_S)
             self.positions = np.zeros((self.t.size, 3))
-            self._heading, self._speed = np.zeros(self.t.size), np.full(self.t.size, np.nan)
+            self._heading, self.speed = np.zeros(self.t.size), np.full(self.t.size, np.nan)
             return
         t = np.array(way["t_s"], dtype=np.float64)[known]
         first, last = max(float(t[0]), -BEFORE_S), min(float(t[-1]), AFTER_S)
@@ -192,16 +203,15 @@ class Way:
         north, east = np.interp(self.t, t, column("north_m")), np.interp(self.t, t, column("east_m"))
         self.positions = np.column_stack([north, -east, np.zeros(self.t.size)])
         self._heading = np.interp(self.t, t, _whole(np.radians(column("heading_deg"))))
-        self._speed = np.interp(self.t, t, column("speed_kmh"))
+        self.speed = np.interp(self.t, t, column("speed_kmh"))
 
     @staticmethod
     def _known(way: dict[str, Any]) -> Any:
         return np.flatnonzero([north is not None for north in way["north_m"]])
 
-    def at(self, k: int) -> tuple[Floats, Floats, float | None]:
-        """Position and rotation in viser's world, and speed in km/h."""
-        speed = float(self._speed[k])
-        return self.positions[k], R_WORLD_V @ _yaw(float(self._heading[k])), speed if np.isfinite(speed) else None
+    def at(self, k: int) -> tuple[Floats, Floats]:
+        """Position and rotation in viser's world."""
+        return self.positions[k], R_WORLD_V @ _yaw(float(self._heading[k]))
 
     @property
     def turn_at_zero(self) -> Floats:
