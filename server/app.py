@@ -72,8 +72,8 @@ async def _lifespan(app: FastAPI) -> AsyncGenerator[None]:
 def create_app(settings: Settings, *, clock: Clock = utc_now) -> FastAPI:
     """Application on the settings' database and store.
 
-    Its `state` has `settings`, `database`, `store`, `clock` and `wake`, which is called with the id
-    of a device that became due and may be replaced.
+    Its `state` has `settings`, `database`, `store`, `clock`, and `wake` and `wake_burst`, which are called
+    with the id of a device that became due, the latter by a burst, and may be replaced.
     """
     app = FastAPI(
         title="Scatola",
@@ -88,7 +88,7 @@ def create_app(settings: Settings, *, clock: Clock = utc_now) -> FastAPI:
     state.database = Database(settings)
     state.store = open_store(settings)
     state.clock = clock
-    state.wake = _nobody_to_wake
+    state.wake = state.wake_burst = _nobody_to_wake
     state.readiness = health.Readiness()
     state.telemetry = telemetry = Telemetry()
     state.login_attempts = TokenBuckets(accounts.LOGIN_ATTEMPTS_PER_MINUTE)

@@ -82,7 +82,8 @@ async def upload(
     if not answer.duplicate:
         telemetry.batch_bytes.inc(len(packed))
         telemetry.batch_rows.inc(rows)
-        cast("Wake", state.wake)(cast("str", caller.device_id))
+        wake = state.wake_burst if key.stream == "burst" else state.wake
+        cast("Wake", wake)(cast("str", caller.device_id))
     return answer
 
 
