@@ -32,7 +32,7 @@ def sentences(document: dict[str, Any], words: Words, at: dt.datetime) -> list[s
             kind=words(event["kind"]),
             date=words.date(at.year, at.month, at.day),
             time=clock_time(at, words),
-            sigma=number(sigma, 1),
+            sigma=number(sigma, 2),
         )
     ]
     if event["pdof_deg"] is not None:
@@ -42,13 +42,13 @@ def sentences(document: dict[str, Any], words: Words, at: dt.datetime) -> list[s
                 "s_force",
                 where=words(f"where{event['pdof_clock']}"),
                 clock=event["pdof_clock"],
-                pdof=number(event["pdof_deg"], 0),
-                low=number(low, 0),
-                high=number(high, 0),
+                pdof=number(event["pdof_deg"], 1),
+                low=number(low, 1),
+                high=number(high, 1),
             )
         )
     told += [
-        words(key, **{name: number(value, 0)}, low=number(interval[0], 0), high=number(interval[1], 0))
+        words(key, **{name: number(value, 1)}, low=number(interval[0], 1), high=number(interval[1], 1))
         for key, name, value, interval in (
             ("s_dv", "dv", event["delta_v_kmh"]["resultant"], event["delta_v_interval95_kmh"]["resultant"]),
             ("s_speed", "v", event["impact_speed_kmh"], event["impact_speed_interval95_kmh"]),
@@ -70,7 +70,7 @@ def _aftermath(event: dict[str, Any], words: Words) -> list[str]:
         low, high = second["resultant_interval95_kmh"]
         after = number(second["t0_s"] - event["t0_s"], 1)
         told.append(
-            words("s_second", t=after, dv=number(second["resultant_kmh"], 0), low=number(low, 0), high=number(high, 0))
+            words("s_second", t=after, dv=number(second["resultant_kmh"], 1), low=number(low, 1), high=number(high, 1))
         )
     if rest is not None and rest["distance_m"] is not None:
         after, radius = number(rest["t_s"] - event["t0_s"], 1), number(rest["radius95_m"], 1)

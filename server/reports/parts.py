@@ -103,18 +103,18 @@ def key_figures(document: dict[str, Any], words: Words, width: float) -> Table:
     dv, dv_interval = event["delta_v_kmh"]["resultant"], event["delta_v_interval95_kmh"]["resultant"]
     by_clock = "" if event["pdof_clock"] is None else hours(event["pdof_clock"], words)
     figures = [
-        (words("key_dv"), words.number(dv, 0), "km/h", words.interval(dv_interval, 0)),
+        (words("key_dv"), words.number(dv, 1), "km/h", words.interval(dv_interval, 1)),
         (
             words("key_pdof"),
-            words.number(event["pdof_deg"], 0),
+            words.number(event["pdof_deg"], 1),
             "°" + (f" · {by_clock}" if by_clock else ""),
-            words.interval(event["pdof_interval95_deg"], 0),
+            words.interval(event["pdof_interval95_deg"], 1),
         ),
         (
             words("key_speed"),
-            words.number(event["impact_speed_kmh"], 0),
+            words.number(event["impact_speed_kmh"], 1),
             "km/h",
-            words.interval(event["impact_speed_interval95_kmh"], 0),
+            words.interval(event["impact_speed_interval95_kmh"], 1),
         ),
         (words("key_peak"), words.number(event["peak_g"], 1), "g", words("at_least") if at_least else "\N{EN DASH}"),
     ]

@@ -227,7 +227,7 @@ class WayMap(Flowable):
 
     def _draw_scale(self, canvas: Canvas) -> None:
         length = self.grid * self._scale
-        x, y = self.width - length - 10, 9.0
+        x, y = self.width - length - 10, 20.0
         polyline(canvas, [(x, y + 3), (x, y), (x + length, y), (x + length, y + 3)], INK, 0.9)
         canvas.setFont(PLAIN, 7)
         canvas.setFillColor(INK)

@@ -160,6 +160,8 @@ ITALIAN_REMARKS = {
     "not_lasting": "La variazione di velocità è stata restituita entro un quarto di secondo.",
     "below_trigger": "Colpo laterale sotto la soglia di 49 CFR 563.",
     "lies_differently": "Il veicolo è inclinato.",
+    "drove_on": "Dopo il colpo il veicolo ha proseguito la marcia.",
+    "shaken_before": "La scatola era maneggiata prima del colpo, a veicolo fermo.",
     "utc_from_arrival": "Nessuna posizione ha dato l'UTC: è l'ora d'arrivo, entro mezzo minuto.",
     "rows_out_of_order": "Alcune righe sono arrivate fuori ordine e sono state ordinate.",
     "rows_repeated": "Alcune righe ripetevano un istante e sono state tolte.",

@@ -107,11 +107,11 @@ def test_a_crash_asks_for_attention_and_leads_to_its_page(event, open_page):
 def walk(page):
     figures = page.locator("#figures")
     for words in (
-        "32km/h",
-        "[30, 34]",
-        "\N{MINUS SIGN}20°",
+        "32.0km/h",
+        "[29.9, 34.3]",
+        "\N{MINUS SIGN}20.0°",
         "ahead on the left",
-        "43km/h",
+        "43.2km/h",
         "17.9g",
         "at least: clipped",
     ):
