@@ -26,6 +26,12 @@ SCALE = 0.004
 ROTATION = np.radians(0.25)
 """1 sigma of the direction of the axes besides the mounting, rad."""
 
+ROUGH = 0.6
+"""Samples off the mean of their neighbours by this share of the pulse (rms) are sampled too slowly, ..."""
+
+ROUGH_SIGMA = 0.03
+"""... and this is the 1 sigma that it costs, share of delta-V."""
+
 HELD = 0.1
 """Share of a turn during the blow that a gyro sampled with the accelerometer may miss, 1 sigma."""
 
@@ -52,6 +58,8 @@ class Impact(NamedTuple):
         Within the window.
     spread : float
         1 sigma of the logarithm of the missing impulse.
+    rough : float
+        How far samples are off the mean of their neighbours, share of the pulse.
     k : int
         Sample of the maximum resultant.
     cloud : Cloud
@@ -67,6 +75,7 @@ class Impact(NamedTuple):
     clipped: Flags
     clipped_samples: int
     spread: float
+    rough: float
     k: int
     cloud: Cloud
     known: Before | None
@@ -118,6 +127,7 @@ def impact_of(case: Case, window: Window, *, with_gps: bool = True) -> Impact:
         clipped=np.asarray(flags.any(axis=1)),
         clipped_samples=int(flags[part].any(axis=1).sum()),
         spread=spread,
+        rough=_rough(blow.a[part]),
         k=k,
         cloud=cloud,
         known=known,
@@ -134,6 +144,14 @@ def structural(case: Case, blow: Blow, a: Floats) -> Floats:
     if case.rate < LEAST_RATE[60] * (1.0 - 1e-3) or np.ptp(blow.step[1:]) > 0.5 / case.rate:
         return a
     return cfc(a, case.rate, 60)
+
+
+def _rough(a: Floats) -> float:
+    """How far samples (n, 3) are off the mean of their neighbours, rms, share of the rms of all."""
+    if a.shape[0] < 8:
+        return 0.0
+    off = a[1:-1] - 0.5 * (a[2:] + a[:-2])
+    return float(np.sqrt(np.mean(off**2) / max(np.mean(a**2), 1e-9)))
 
 
 def _gained_before(gnss: Gnss, case: Case, t0: float) -> Floats | None:
@@ -178,6 +196,8 @@ def _covariance(case: Case, blow: Blow, d: Floats, k: int, steady: Steady) -> Fl
     elapsed = float(blow.t[k] - blow.t[blow.zero])
     every = (steady.sigma * elapsed) ** 2 + JITTER**2
     alias = float(np.interp(np.log(case.rate), np.log(ALIASING[0]), ALIASING[1]))
+    if _rough(blow.a[blow.zero : blow.last + 1]) > ROUGH:
+        alias = float(np.hypot(alias, ROUGH_SIGMA))
     turned = float(np.arctan2(blow.C[k, 1, 0], blow.C[k, 0, 0]))
     turn = case.sigma[2] ** 2 + ROTATION**2 + (HELD * turned) ** 2
     # An open heading leaves the resultant as sure as it is.

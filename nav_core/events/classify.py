@@ -191,6 +191,7 @@ class Signs(NamedTuple):
     kept: float
     """Share of it that is left a quarter of a second later."""
     fell: bool
+    """Freely, before it or between its bounces; not told of a recording without gravity."""
     turned: float
     """How much the box lies differently afterwards, rad; 0 when not known."""
     down_after: Floats | None
@@ -220,7 +221,7 @@ def signs_of(scene: Scene, window: Window) -> Signs:
     return Signs(
         change=change,
         kept=float(size[-1] / max(change, 1e-9)),
-        fell=_fell(stream, t0, t_end),
+        fell=float(np.linalg.norm(rest)) > 1.5 * FALLING and _fell(stream, t0, t_end),
         turned=turned,
         down_after=down,
         before=scene.speed_before(t0),

@@ -108,3 +108,19 @@ def test_real_driving_and_handling_is_no_crash(recording):
     drive = recording()
     events = reconstruct_drive(drive, estimate_mounting(drive))
     assert [each.kind for each in events if each.severe] == []
+
+
+@pytest.mark.parametrize("phase", [0, 25])
+def test_sampled_at_200_hz_without_an_anti_alias_filter_it_says_so(phase):
+    t, f = channel("094")
+    (event,) = reconstruct_drive(Drive(Inertial(t[phase::50], f[phase::50]), NO_GNSS), mounting())
+    assert "aliasing_likely" in {remark.code for remark in event.quality}
+    assert KMH * event.delta_v.resultant.low <= NOTES["094"] <= KMH * event.delta_v.resultant.high
+
+
+def test_a_recording_without_gravity_is_reconstructed_and_says_so():
+    t, f = channel("094")
+    (event,) = reconstruct_drive(Drive(Inertial(t, f * np.array([1.0, 0.0, 0.0])), NO_GNSS), mounting())
+    assert event.kind == "crash"
+    assert KMH * event.delta_v.resultant.value == pytest.approx(NOTES["094"], abs=0.7)
+    assert "no_gravity" in {remark.code for remark in event.quality}
