@@ -22,6 +22,8 @@ from server.database import Database
 from server.devices import box_routes as boxes
 from server.devices import routes as devices
 from server.edge import Clock
+from server.events import routes as events
+from server.evidence import routes as evidence
 from server.headers import SecurityHeaders
 from server.ingest import routes as ingest
 from server.installations import routes as installations
@@ -31,6 +33,7 @@ from server.migrations import is_current
 from server.pages import accounts as account_pages
 from server.pages import routes as pages
 from server.pages import templating
+from server.reports import routes as reports
 from server.resources import folder
 from server.settings import Settings
 from server.signals import routes as signals
@@ -38,7 +41,7 @@ from server.store import open_store
 from server.telemetry import RequestTelemetry, Telemetry, log
 from server.trips import routes as trips
 from server.vehicles import routes as vehicles
-from server.view3d import proxy, tickets
+from server.view3d import proxy, replay, tickets
 
 MAX_JSON_BYTES = 1024 * 1024
 # Decoding is work for a core and holds a batch in memory several times over.
@@ -73,8 +76,8 @@ async def _lifespan(app: FastAPI) -> AsyncGenerator[None]:
 def create_app(settings: Settings, *, clock: Clock = utc_now) -> FastAPI:
     """Application on the settings' database and store.
 
-    Its `state` has `settings`, `database`, `store`, `clock` and `wake`, which is called with the id
-    of a device that became due and may be replaced.
+    Its `state` has `settings`, `database`, `store`, `clock`, and `wake` and `wake_burst`, which are called
+    with the id of a device that became due, the latter by a burst, and may be replaced.
     """
     app = FastAPI(
         title="Scatola",
@@ -89,7 +92,7 @@ def create_app(settings: Settings, *, clock: Clock = utc_now) -> FastAPI:
     state.database = Database(settings)
     state.store = open_store(settings)
     state.clock = clock
-    state.wake = _nobody_to_wake
+    state.wake = state.wake_burst = _nobody_to_wake
     state.readiness = health.Readiness()
     state.telemetry = telemetry = Telemetry()
     state.recent_looks = RecentLooks()
@@ -111,9 +114,13 @@ def create_app(settings: Settings, *, clock: Clock = utc_now) -> FastAPI:
         ingest,
         installations,
         trips,
+        events,
+        reports,
+        evidence,
         live,
         signals,
         tickets,
+        replay,
         proxy,
         pages,
         account_pages,

@@ -51,15 +51,16 @@ def serve(
         if settings.embedded:
             children = [*_children(app), *more_children(url)]
             supervisor = Supervisor(children)
-            app.state.wake = supervisor.wake
+            app.state.wake = app.state.wake_burst = supervisor.wake
             stack.callback(supervisor.stop, _FINISH_CHILDREN_S)
             supervisor.start()
         else:
-            from server.jobs.broker import Sender
+            from server.jobs.broker import BURST_ACTOR, BURSTS, Sender
 
-            sender = Sender(settings)
-            app.state.wake = sender
-            stack.callback(sender.close)
+            app.state.wake = Sender(settings)
+            app.state.wake_burst = Sender(settings, queue=BURSTS, actor=BURST_ACTOR)
+            stack.callback(app.state.wake.close)
+            stack.callback(app.state.wake_burst.close)
 
         def greet() -> None:
             say(f"Scatola serves {url}")

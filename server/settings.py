@@ -34,6 +34,9 @@ class Settings(BaseSettings):
     trusted_origins: Annotated[tuple[str, ...], NoDecode] = ()
     map_tiles_url: str | None = None
     admin_token: SecretStr | None = None
+    signing_key_file: Path | None = None
+    timestamp_url: str | None = None
+    timestamp_root_file: Path | None = None
     max_body_bytes: int = Field(default=16 * 1024 * 1024, gt=0)
     max_decoded_bytes: int = Field(default=64 * 1024 * 1024, gt=0)
     device_requests_per_minute: int = Field(default=600, gt=0)

@@ -86,9 +86,6 @@ def case_of(drive: Drive, mounting: MountingEstimate) -> Case:
         remarks.append(Remark("no_gps", "No usable fix: no impact speed, no path, no check of delta-V."))
     elif mounting.speed_lag is None:
         remarks.append(Remark("gps_lag_unknown", "The receiver's lag is not known; fixes near the blow are not used."))
-    if inertial.w is None:
-        text = "No gyro: delta-V is in the box's own axes, which turn with the vehicle."
-        remarks.append(Remark("axes_rotating", text))
     return Case(
         drive=drive,
         mounting=mounting,

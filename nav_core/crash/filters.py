@@ -84,7 +84,9 @@ def low_pass(x: Floats, rate: float, cutoff: float) -> Floats:
     """
     if rate < 6.0 * cutoff:
         raise RateError(f"a {cutoff:g} Hz low-pass", rate, 6.0 * cutoff)
-    return two_passes(x, rate, TWO_PASSES * cutoff)
+    # The bilinear transform bends frequencies: the corner is placed where it makes the cutoff exact at any rate.
+    corner = float(np.arctan(TWO_PASSES * np.tan(np.pi * cutoff / rate)) * rate / np.pi)
+    return two_passes(x, rate, corner)
 
 
 def moving_mean(x: Floats, rate: float, span: float) -> Floats:

@@ -34,7 +34,8 @@ AFTER = 2.5
 
 WALK = 0.6
 GAP_WALK = 3.0
-"""How fast velocity strays from what the accelerometer says after a blow, m/s/√s, and where it says nothing."""
+"""How fast velocity is presumed to stray from what the accelerometer says after a blow, m/s/√s, and where it says
+nothing; the fixes that follow may show that it strays less, or more."""
 
 SETTLED, COURSE_SETTLED = 0.12, 0.4
 """Speeds and courses from within this time after a blow may still be from before, s: lags are not known exactly, that
@@ -42,6 +43,13 @@ of the course least."""
 
 SLOW = 1.0
 """Below this speed a course is not to be relied on, m/s."""
+
+
+LEVEL = 0.08
+"""1 sigma of gravity and bias along the vehicle in the seconds before a blow, m/s²."""
+
+UNSEEN = 1.5
+"""Presumed acceleration where the recording has no samples, m/s²."""
 
 
 class Lags(NamedTuple):
@@ -133,7 +141,7 @@ def before(gnss: Gnss, lags: Lags, stream: Stream, steady: Floats, t0: float) ->
     if not use.any():
         return None
     at, speed = described[use], gnss.speed[use]
-    gained, uncertain = _gained(stream, steady, at, t0)
+    gained, uncertain = _gained(stream, steady, at, t0, _unsteady(at, speed))
     z = speed + gained[:, 0]
     # One error of the level runs through all of them.
     C = repeating(at, SPEED_NOISE) + np.outer(uncertain, uncertain)
@@ -161,7 +169,14 @@ def _course(gnss: Gnss, lags: Lags, stream: Stream, steady: Floats, t0: float) -
     return float(wrap(np.array(reference + offset))), float(np.hypot(sigma, np.radians(0.3)))
 
 
-def _gained(stream: Stream, steady: Floats, at: Floats, t0: float) -> tuple[Floats, Floats]:
+def _unsteady(at: Floats, speed: Floats) -> float:
+    """Usual acceleration where no samples are, m/s²: as presumed, then as the fixes show it."""
+    step = np.maximum(np.diff(at), 0.05)
+    shown = np.maximum(np.diff(speed) ** 2 - SPEED_NOISE**2, 0.0) / step**2
+    return float(np.sqrt((UNSEEN**2 + shown.sum()) / (1.0 + shown.size)))
+
+
+def _gained(stream: Stream, steady: Floats, at: Floats, t0: float, unsteady: float = UNSEEN) -> tuple[Floats, Floats]:
     """Velocity gained from each moment until `t0`, m/s, shape (k, 3), and its 1 sigma, (k,)."""
     inside = np.clip(at, stream.t[0], t0)
     first, last = np.searchsorted(stream.t, [inside.min(), t0 + 1e-9])
@@ -171,12 +186,23 @@ def _gained(stream: Stream, steady: Floats, at: Floats, t0: float) -> tuple[Floa
     now = np.array([np.interp(t0, t, v[:, axis]) for axis in range(3)])
     then = np.column_stack([np.interp(inside, t, v[:, axis]) for axis in range(3)])
     unseen = np.maximum(inside - at, 0.0)
-    return now - then, 0.08 * (t0 - inside) + 1.5 * unseen
+    return now - then, LEVEL * (t0 - inside) + unsteady * unseen
 
 
-def after(
-    gnss: Gnss, lags: Lags, known: Before, t_end: float, path: tuple[Floats, Floats], *, spinning: bool
-) -> After | None:
+def _walks(t: Floats, v: Floats) -> tuple[float, float]:
+    """How fast velocity strays, m²/s³, with samples and without: as presumed, then as the fixes show it.
+
+    Mean of an inverse-gamma posterior whose prior weighs half as much as one step in two axes.
+    """
+    steps = np.diff(v, axis=0)
+    noise = 2.0 * 0.5 * SPEED_NOISE**2
+    shown = np.maximum((steps**2).sum(axis=1) - 2.0 * noise, 0.0) / np.maximum(np.diff(t), 0.05)
+    count = 1.0 + 2.0 * shown.size
+    total = float(shown.sum())
+    return (WALK**2 + total) / count, (GAP_WALK**2 + total) / count
+
+
+def after(gnss: Gnss, lags: Lags, known: Before, t_end: float, path: tuple[Floats, Floats]) -> After | None:
     """Velocity right after the blow from the fixes that follow it.
 
     Parameters
@@ -191,8 +217,6 @@ def after(
     path : tuple of ndarray
         Moments from `t_end` on, s, shape (m,), and the horizontal velocity gained since, V axes at time zero,
         m/s, shape (m, 2).
-    spinning : bool
-        The vehicle may turn after the blow and nothing says how: the accelerometer's axes are not trusted.
 
     Returns
     -------
@@ -216,8 +240,8 @@ def after(
     later = np.column_stack([np.interp(at + lags.sigma, moments, gained[:, axis]) for axis in range(2)])
     elapsed = at - t_end
     covered = np.clip(moments[-1] - t_end, 0.0, elapsed)
-    walk = (3.0 if spinning else 1.0) * WALK
-    spread = walk**2 * covered + GAP_WALK**2 * (elapsed - covered)
+    walk, gap_walk = _walks(at[told], (z - seen)[told])
+    spread = walk * covered + gap_walk * (elapsed - covered)
     crawl = np.diag(np.where(told, 0.0, 0.5 * speed**2))  # in any direction
     C = repeating(at, SPEED_NOISE) + np.minimum(spread[:, None], spread[None, :]) + crawl
     values = np.empty(2)

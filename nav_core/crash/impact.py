@@ -24,7 +24,16 @@ SCALE = 0.004
 """1 sigma of the accelerometer's scale, share."""
 
 ROTATION = np.radians(0.25)
-"""1 sigma of what turning axes do to the direction where no gyro holds them, rad."""
+"""1 sigma of the direction of the axes besides the mounting, rad."""
+
+ROUGH = 0.6
+"""Samples off the mean of their neighbours by this share of the pulse (rms) are sampled too slowly, ..."""
+
+ROUGH_SIGMA = 0.03
+"""... and this is the 1 sigma that it costs, share of delta-V."""
+
+HELD = 0.1
+"""Share of a turn during the blow that a gyro sampled with the accelerometer may miss, 1 sigma."""
 
 JITTER = 0.025
 """1 sigma of vibration and noise left in an integral, m/s."""
@@ -49,6 +58,8 @@ class Impact(NamedTuple):
         Within the window.
     spread : float
         1 sigma of the logarithm of the missing impulse.
+    rough : float
+        How far samples are off the mean of their neighbours, share of the pulse.
     k : int
         Sample of the maximum resultant.
     cloud : Cloud
@@ -64,6 +75,7 @@ class Impact(NamedTuple):
     clipped: Flags
     clipped_samples: int
     spread: float
+    rough: float
     k: int
     cloud: Cloud
     known: Before | None
@@ -115,6 +127,7 @@ def impact_of(case: Case, window: Window, *, with_gps: bool = True) -> Impact:
         clipped=np.asarray(flags.any(axis=1)),
         clipped_samples=int(flags[part].any(axis=1).sum()),
         spread=spread,
+        rough=_rough(blow.a[part]),
         k=k,
         cloud=cloud,
         known=known,
@@ -131,6 +144,14 @@ def structural(case: Case, blow: Blow, a: Floats) -> Floats:
     if case.rate < LEAST_RATE[60] * (1.0 - 1e-3) or np.ptp(blow.step[1:]) > 0.5 / case.rate:
         return a
     return cfc(a, case.rate, 60)
+
+
+def _rough(a: Floats) -> float:
+    """How far samples (n, 3) are off the mean of their neighbours, rms, share of the rms of all."""
+    if a.shape[0] < 8:
+        return 0.0
+    off = a[1:-1] - 0.5 * (a[2:] + a[:-2])
+    return float(np.sqrt(np.mean(off**2) / max(np.mean(a**2), 1e-9)))
 
 
 def _gained_before(gnss: Gnss, case: Case, t0: float) -> Floats | None:
@@ -164,7 +185,7 @@ def _restored(case: Case, blow: Blow, flags: Flags) -> tuple[Floats, float]:
 def _seen(case: Case, gnss: Gnss, known: Before, blow: Blow, trace: Floats) -> After | None:
     rest = slice(blow.last, None)
     path = blow.t[rest], trace[rest, :2] - trace[blow.last, :2]
-    return after(gnss, case.lags, known, float(blow.t[blow.last]), path, spinning=False)
+    return after(gnss, case.lags, known, float(blow.t[blow.last]), path)
 
 
 def _covariance(case: Case, blow: Blow, d: Floats, k: int, steady: Steady) -> Floats:
@@ -175,7 +196,10 @@ def _covariance(case: Case, blow: Blow, d: Floats, k: int, steady: Steady) -> Fl
     elapsed = float(blow.t[k] - blow.t[blow.zero])
     every = (steady.sigma * elapsed) ** 2 + JITTER**2
     alias = float(np.interp(np.log(case.rate), np.log(ALIASING[0]), ALIASING[1]))
-    turn = case.sigma[2] ** 2 + (ROTATION**2 if blow.w is None else 0.0)
+    if _rough(blow.a[blow.zero : blow.last + 1]) > ROUGH:
+        alias = float(np.hypot(alias, ROUGH_SIGMA))
+    turned = float(np.arctan2(blow.C[k, 1, 0], blow.C[k, 0, 0]))
+    turn = case.sigma[2] ** 2 + ROTATION**2 + (HELD * turned) ** 2
     # An open heading leaves the resultant as sure as it is.
     turn = min(turn, 1.0)
     return (

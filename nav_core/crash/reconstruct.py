@@ -7,10 +7,11 @@ from dataclasses import replace
 import numpy as np
 
 from nav_core.crash.case import Case, case_of, until
-from nav_core.crash.impact import Impact, impact_of
+from nav_core.crash.impact import ROUGH, Impact, impact_of
 from nav_core.crash.injury import risks
 from nav_core.crash.measures import indices_of, pulse_of, rebound_of, roll_of
 from nav_core.crash.trajectory import driver_of, rest_of, trajectory_of
+from nav_core.earth import STANDARD_GRAVITY
 from nav_core.events.classify import Finding, find, scene_of
 from nav_core.events.driving import Manoeuvre, manoeuvres
 from nav_core.events.record import ALGORITHM, Basis, CrashEvent, DeltaV, Estimate, SecondImpact, VehicleClass
@@ -23,6 +24,12 @@ SPAN = 30.0
 """Context of an event that evidence must keep, before and after, s."""
 
 FEWEST = 4
+SPINS = 0.5
+"""Turn rate from which it matters where in the vehicle the box sits, rad/s."""
+
+UNFILTERED_RATE = 150.0
+"""Samples per second below which aliasing must be thought of, Hz."""
+
 AGAIN = 2.0
 """A mounting that changed later than this before an event is worked out anew from what came before, s."""
 
@@ -133,27 +140,42 @@ def _remarks(case: Case, impact: Impact) -> tuple[Remark, ...]:
     out: list[Remark] = []
     blow = impact.blow
     if impact.clipped_samples and case.saturation.full_scale is not None:
-        full, share = case.saturation.full_scale / 9.80665, 100.0 * impact.spread
+        full, share = case.saturation.full_scale / STANDARD_GRAVITY, 100.0 * impact.spread
         count = impact.clipped_samples
         text = f"{count} samples at full scale ({full:.1f} g); the missing impulse is known to {share:.0f} %."
         out.append(Remark("clipped", text))
-    if case.rate < 150.0:
-        text = f"{case.rate:.0f} samples per second: body ringing may fold into delta-V where the box has no filter."
-        out.append(Remark("aliasing_possible", text))
+    if blow.w is None:
+        text = "No gyro: delta-V is in the box's own axes, which turn with the vehicle."
+        out.append(Remark("axes_rotating", text))
+    elif float(np.abs(blow.w[blow.zero : blow.last + 1, 2]).max()) > SPINS:
+        out.append(Remark("off_centre", "The vehicle turned: delta-V is that of the box, not of the centre of mass."))
     if impact.steady.span < 1.0:
         text = f"Gravity and bias are taken from {impact.steady.span:.2f} s before the blow."
         out.append(Remark("short_context", text))
+    if np.linalg.norm(impact.steady.f) < 0.5 * STANDARD_GRAVITY:
+        out.append(Remark("no_gravity", "The recording does not show gravity; how the vehicle stood is not told."))
+    if impact.cloud.chi2 and not impact.cloud.fused:
+        text = f"Delta-V by the fixes contradicts the accelerometer (chi square {impact.cloud.chi2:.0f}); not used."
+        out.append(Remark("gps_disagrees", text))
+    return (*out, *_sampling(case, impact))
+
+
+def _sampling(case: Case, impact: Impact) -> tuple[Remark, ...]:
+    """What must be known of the samples of a blow."""
+    out: list[Remark] = []
+    blow = impact.blow
+    if impact.rough > ROUGH:
+        text = f"Neighbouring samples differ by {100.0 * impact.rough:.0f} % of the pulse: it is sampled too slowly."
+        out.append(Remark("aliasing_likely", text))
+    elif case.rate < UNFILTERED_RATE:
+        text = f"{case.rate:.0f} samples per second: body ringing may fold into delta-V where the box has no filter."
+        out.append(Remark("aliasing_possible", text))
     if blow.zero == 0:
         out.append(Remark("starts_in_event", "The recording begins within the event: delta-V lacks its start."))
     if blow.t[blow.last] < blow.t[blow.end] + AFTER_END - 1.5 / case.rate:
         out.append(Remark("ends_in_event", "The recording ends before the end of integration."))
     if np.any(blow.step[blow.zero + 1 : blow.last + 1] == 0.0):
         out.append(Remark("gap_in_event", "Samples are missing within the event; nothing is put in their place."))
-    if impact.cloud.chi2 and not impact.cloud.fused:
-        text = f"Delta-V by the fixes contradicts the accelerometer (chi square {impact.cloud.chi2:.0f}); not used."
-        out.append(Remark("gps_disagrees", text))
-    if blow.w is not None and float(np.abs(blow.w[blow.zero : blow.last + 1, 2]).max()) > 0.5:
-        out.append(Remark("off_centre", "The vehicle turned: delta-V is that of the box, not of the centre of mass."))
     return tuple(out)
 
 

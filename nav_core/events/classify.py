@@ -191,13 +191,15 @@ class Signs(NamedTuple):
     kept: float
     """Share of it that is left a quarter of a second later."""
     fell: bool
+    """Freely, before it or between its bounces; not told of a recording without gravity."""
     turned: float
     """How much the box lies differently afterwards, rad; 0 when not known."""
     down_after: Floats | None
     """Specific force afterwards, V axes, m/s²."""
     before: float | None
     after: float | None
-    """Speed by GPS, m/s."""
+    later: float | None
+    """Speed by GPS just before, just after and eight seconds later, m/s."""
 
 
 def signs_of(scene: Scene, window: Window) -> Signs:
@@ -219,11 +221,12 @@ def signs_of(scene: Scene, window: Window) -> Signs:
     return Signs(
         change=change,
         kept=float(size[-1] / max(change, 1e-9)),
-        fell=_fell(stream, t0, t_end),
+        fell=float(np.linalg.norm(rest)) > 1.5 * FALLING and _fell(stream, t0, t_end),
         turned=turned,
         down_after=down,
         before=scene.speed_before(t0),
         after=scene.speed_after(t_end),
+        later=scene.speed_after(t_end + 8.0),
     )
 
 
@@ -267,10 +270,29 @@ def _judged(scene: Scene, first: int, last: int) -> Finding:
     return Finding(kind, window, confidence, peak_of(stream, window), remarks)
 
 
-def _verdict(signs: Signs, stood: bool) -> tuple[EventKind, float, tuple[Remark, ...]]:
+Verdict = tuple[EventKind, float, tuple[Remark, ...]]
+
+
+def _verdict(signs: Signs, stood: bool) -> Verdict:
     moved = signs.before is not None and signs.before > MOVES
+    drove_on = signs.later is not None and signs.later > MOVES
+    harmless = _harmless(signs, stood, moved, drove_on)
+    if harmless is not None:
+        return harmless
+    if _on_its_side(signs) and moved and not drove_on:
+        return "rollover", 0.9, ()
+    remarks: tuple[Remark, ...] = ()
+    if signs.turned > TURNED:
+        degrees = float(np.degrees(signs.turned))
+        remarks = (Remark("box_turned", f"The box lies {degrees:.0f}° differently after it."),)
+    certain = 0.99 if _unaffected(signs) is False or signs.change > 1.5 * TRIGGER else 0.9
+    return "crash", certain, remarks
+
+
+def _harmless(signs: Signs, stood: bool, moved: bool, drove_on: bool) -> Verdict | None:
+    """Why what met the trigger was no blow to the vehicle; None when it was one."""
     unaffected = _unaffected(signs)
-    if signs.fell and not (moved and unaffected is False):
+    if signs.fell and (drove_on or not (moved and unaffected is False)):
         return "handling", 0.95, (Remark("free_fall", "The box fell freely before the shock."),)
     if moved and unaffected:
         kind: EventKind = "handling" if signs.turned > TURNED else "road_shock"
@@ -280,14 +302,9 @@ def _verdict(signs: Signs, stood: bool) -> tuple[EventKind, float, tuple[Remark,
     if signs.kept < LASTS and unaffected is not False:
         kind = "handling" if stood else "road_shock"
         return kind, 0.8, (Remark("not_lasting", "The change of velocity was given back within a quarter second."),)
-    if _on_its_side(signs) and moved:
-        return "rollover", 0.9, ()
-    remarks: tuple[Remark, ...] = ()
-    if signs.turned > TURNED:
-        degrees = float(np.degrees(signs.turned))
-        remarks = (Remark("box_turned", f"The box lies {degrees:.0f}° differently after it."),)
-    certain = 0.99 if unaffected is False or signs.change > 1.5 * TRIGGER else 0.9
-    return "crash", certain, remarks
+    if drove_on and signs.turned > TURNED and not _slowed(signs):
+        return "handling", 0.8, (Remark("drove_on", "The box lies differently after it, and the vehicle drove on."),)
+    return None
 
 
 def _unaffected(signs: Signs) -> bool | None:
@@ -303,6 +320,13 @@ def _unaffected(signs: Signs) -> bool | None:
         return False
     # Across the way a change v turns the course and adds v²/(2 speed): not seen in the speed.
     return None if signs.kept >= LASTS else seen < max(0.2 * signs.change, 0.8)
+
+
+def _slowed(signs: Signs) -> bool:
+    """Whether the fixes show most of the change as a change of speed."""
+    if signs.before is None or signs.after is None:
+        return False
+    return abs(signs.after - signs.before) > 0.6 * signs.change
 
 
 def _on_its_side(signs: Signs) -> bool:
@@ -406,10 +430,13 @@ def _tilted(scene: Scene, found: list[Finding]) -> list[Finding]:
         if at[last] - at[first] < 1.0 or near:
             continue
         k = int(edges[full[first]])
-        window = Window(k, min(int(edges[full[last] + 1]), stream.t.size - 1), min(k + 1, stream.t.size - 1))
+        soon = min(int(np.searchsorted(stream.t, stream.t[k] + 0.5)), stream.t.size - 1)
+        window = Window(k, soon, soon)
         speed = scene.speed_before(t - 1.0)
         down = means[first : last + 1].mean(axis=0)
+        later = scene.speed_after(t + 8.0)
         rolled = speed is not None and speed > MOVES and abs(down[0]) < 0.4 * STANDARD_GRAVITY
+        rolled = rolled and (later is None or later < MOVES)  # on its side no vehicle drives on
         kind: EventKind = "rollover" if rolled else "handling"
         remark = Remark("lies_differently", f"The box leans by {np.degrees(lean[first : last + 1].max()):.0f}°.")
         out.append(Finding(kind, window, 0.8, peak_of(stream, window), (remark,)))

@@ -177,13 +177,14 @@ def window_around(t: Floats, v: Floats, core: int, *, threshold: float = THRESHO
         if near.size == 0:
             return Window(core, core, core)
         core = int(near[np.argmin(np.abs(t[near] - t[core]))])
+    apart = max(WINDOW, 1.5 * float(np.median(np.diff(t)))) + 1e-9
     before = np.flatnonzero(over[: core + 1])
-    breaks = np.flatnonzero(np.diff(t[before]) > WINDOW)
+    breaks = np.flatnonzero(np.diff(t[before]) > apart)
     zero = int(before[breaks[-1] + 1]) if breaks.size else int(before[0])
     if zero and t[zero] - t[zero - 1] > 0.75 * WINDOW:
         zero -= 1  # the window starts between two samples this far apart
     after = core + np.flatnonzero(over[core:])
-    breaks = np.flatnonzero(np.diff(t[after]) > QUIET)
+    breaks = np.flatnonzero(np.diff(t[after]) > max(QUIET, apart))
     final = int(after[breaks[0]]) if breaks.size else int(after[-1])
     end = int(min(j[min(final + 1, n - 1)], n - 1))
     last = int(min(np.searchsorted(t, t[end] + AFTER_END), n - 1))

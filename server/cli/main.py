@@ -207,6 +207,19 @@ def _add_service_commands(add: Add) -> None:
     viewer.add_argument("--port", type=int, default=8001)
     migrate = add("migrate", "processes:migrate", "Bring the database to the newest schema.")
     migrate.add_argument("--check", action="store_true", help="only say whether migrations and models agree")
+    verify = add(
+        "verify", "verify:verify", "Recompute the chain of evidence of boxes, or check an archive of evidence."
+    )
+    verify.add_argument(
+        "archive", type=Path, nargs="?", metavar="EVIDENCE.zip", help="default: this installation's data"
+    )
+    verify.add_argument("--device", metavar="ID", help="one box alone; default: all")
+    verify.add_argument("--json", action="store_true")
+    reprocess = add(
+        "reprocess", "reprocess:reprocess", "Compute severe events again from their inputs; new numbers revise."
+    )
+    reprocess.add_argument("--device", metavar="ID", help="one box alone; default: all")
+    reprocess.add_argument("--json", action="store_true")
     demo = add("demo", "demo:demo", "The service and a simulated fleet that uploads to it.")
     demo.add_argument("--speed", type=float, default=30.0, help="how much faster than life the past is replayed")
     demo.add_argument("--history-minutes", type=float, default=40.0, help="how far back the fleet begins")

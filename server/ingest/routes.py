@@ -103,7 +103,8 @@ async def upload(
     if not answer.duplicate:
         telemetry.batch_bytes.inc(len(packed))
         telemetry.batch_rows.inc(rows)
-        cast("Wake", state.wake)(cast("str", caller.device_id))
+        wake = state.wake_burst if key.stream == "burst" else state.wake
+        cast("Wake", wake)(cast("str", caller.device_id))
     return answer
 
 
@@ -150,7 +151,8 @@ def _store(
     parquet = columns.to_parquet()
     stored_key = blob_key(caller.organisation_id, device_id, column_sha256, "parquet")
     store.put(stored_key, parquet)
-    body_key = blob_key(caller.organisation_id, device_id, sha256, "body") if key.stream == "burst" else None
+    keeps = key.stream == "burst" or service.may_hold_a_blow(columns)
+    body_key = blob_key(caller.organisation_id, device_id, sha256, "body") if keeps else None
     if body_key is not None:
         store.put(body_key, body)
     made = service.Upload(

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, cast
 
 import numpy as np
 
-from nav_core.records import MountingEstimate
+from nav_core.records import MountingEstimate, MountingMethod, MountingStatus
 from nav_core.rotation import matrix_to_thesis
 
 
@@ -33,6 +34,28 @@ def mount_json(estimate: MountingEstimate) -> dict[str, Any]:
         "reason_codes": [reason.code for reason in estimate.reasons],
         "percent": round(100.0 * estimate.progress),
     }
+
+
+UNSTATED_SIGMA_DEG = 1.0
+"""Of a mounting that somebody set without saying how well it was measured."""
+
+
+def estimate_of(result: Mapping[str, Any]) -> MountingEstimate:
+    """The estimate that a mount JSON tells of, as far as later steps need it."""
+    status = cast("MountingStatus", result.get("status", "insufficient"))
+    known = status in ("ready", "settling") and result.get("R_va") is not None
+    sigma: Mapping[str, float] = result.get("sigma_deg") or dict.fromkeys("xyz", UNSTATED_SIGMA_DEG)
+    lags: Mapping[str, float | None] = result.get("gps_lag_s") or {}
+    return MountingEstimate(
+        status if known else "insufficient" if status != "not_fixed" else "not_fixed",
+        cast("MountingMethod", result.get("method", "whole-drive")),
+        R_va=np.array(result["R_va"], dtype=np.float64) if known else None,
+        covariance=np.diag([np.radians(sigma[axis]) ** 2 for axis in "xyz"]) if known else None,
+        stable=bool(result.get("stable")),
+        reliable=bool(result.get("reliable")),
+        speed_lag=lags.get("speed"),
+        course_lag=lags.get("course"),
+    )
 
 
 def _named(angles: np.ndarray[Any, np.dtype[np.float64]], *names: str) -> dict[str, float]:

@@ -1,8 +1,8 @@
 """Dramatiq on RabbitMQ: carries device ids to any number of workers.
 
 A message only says *when*; what is due stands in the database.  So a message is acknowledged after the
-commit, may come twice, and may be lost: the sweep of each worker sends again what stays due.  The name
-``bursts`` is kept free for a queue of crash windows.
+commit, may come twice, and may be lost: the sweep of each worker sends again what stays due.  Devices with a
+burst have a queue of their own, which each worker looks at first.
 """
 
 from __future__ import annotations
@@ -24,7 +24,9 @@ from server.store import open_store
 Clock = Callable[[], dt.datetime]
 
 QUEUE = "devices"
+BURSTS = "bursts"
 ACTOR = "bring_up_to_date"
+BURST_ACTOR = "bring_up_to_date_first"
 MAX_RETRIES = 8
 BACKOFF_MS = (1_000, 300_000)
 SWEEP_S = 5.0
@@ -43,9 +45,9 @@ def make_broker(url: str) -> RabbitmqBroker:
     return RabbitmqBroker(url=url, confirm_delivery=True, middleware=[ShutdownNotifications(), retries])
 
 
-def message_for(device_id: str, queue: str) -> dramatiq.Message[None]:
+def message_for(device_id: str, queue: str, actor: str = ACTOR) -> dramatiq.Message[None]:
     """The message that a device is due."""
-    return dramatiq.Message(queue_name=queue, actor_name=ACTOR, args=(device_id,), kwargs={}, options={})
+    return dramatiq.Message(queue_name=queue, actor_name=actor, args=(device_id,), kwargs={}, options={})
 
 
 class Sender:
@@ -54,11 +56,12 @@ class Sender:
     A device that is named again before it was sent is sent once.
     """
 
-    def __init__(self, settings: Settings, *, queue: str = QUEUE) -> None:
+    def __init__(self, settings: Settings, *, queue: str = QUEUE, actor: str = ACTOR) -> None:
         if settings.broker_url is None:
             raise ValueError("SCATOLA_BROKER_URL is not set")
         self._url = settings.broker_url.get_secret_value()
         self._queue = queue
+        self._actor = actor
         self._waiting: dict[str, None] = {}
         self._changed = threading.Condition()
         self._closed = False
@@ -91,7 +94,7 @@ class Sender:
             with self._changed:
                 del self._waiting[device_id]
             try:
-                broker.enqueue(message_for(device_id, self._queue))
+                broker.enqueue(message_for(device_id, self._queue, self._actor))
                 pause = RECONNECT_S[0]
             except Exception:
                 # Whatever the broker does, an upload must not feel it.
@@ -103,10 +106,12 @@ class Sender:
         broker.close()
 
 
-def run_consumer(settings: Settings, *, stop: threading.Event, clock: Clock, queue: str = QUEUE) -> None:
+def run_consumer(
+    settings: Settings, *, stop: threading.Event, clock: Clock, queue: str = QUEUE, bursts: str = BURSTS
+) -> None:
     """Work off what the queue brings, and send again what stays due, until told to stop."""
     from server.jobs.work import bring_up_to_date
-    from server.jobs.worker import start_housekeeping
+    from server.jobs.worker import start_housekeeping, start_sealing
 
     assert settings.broker_url is not None
     database, store = Database(settings), open_store(settings)
@@ -116,11 +121,14 @@ def run_consumer(settings: Settings, *, stop: threading.Event, clock: Clock, que
         while bring_up_to_date(database, store, device_id, clock=clock).more and not stop.is_set():
             pass
 
-    dramatiq.Actor(work, broker=broker, actor_name=ACTOR, queue_name=queue, priority=0, options={})
+    # The lower number goes first among the messages that this worker has fetched.
+    dramatiq.Actor(work, broker=broker, actor_name=BURST_ACTOR, queue_name=bursts, priority=0, options={})
+    dramatiq.Actor(work, broker=broker, actor_name=ACTOR, queue_name=queue, priority=1, options={})
     # One thread: the work is computation, a host's further cores take further processes.
-    worker = dramatiq.Worker(broker, queues={queue}, worker_threads=1)
+    worker = dramatiq.Worker(broker, queues={queue, bursts}, worker_threads=1)
     worker.start()
     keeper = start_housekeeping(database, store, stop=stop, clock=clock)
+    sealer = start_sealing(database, settings, stop=stop, clock=clock)
     sweep = Sweep(database, broker, queue, clock)
     try:
         while not stop.wait(SWEEP_S):
@@ -130,6 +138,8 @@ def run_consumer(settings: Settings, *, stop: threading.Event, clock: Clock, que
         worker.stop(timeout=STOP_MS)
         broker.close()
         keeper.join()
+        if sealer is not None:
+            sealer.join()
         database.dispose()
 
 

@@ -47,13 +47,18 @@ class Digest:
 
     def clock_pair(self) -> tuple[float, float] | None:
         """Box time and UTC minus box time of the batch's fixes; None without UTC."""
-        if self.gnss.utc is None:
-            return None
-        known = np.isfinite(self.gnss.utc)
-        if not known.any():
-            return None
-        t = self.gnss.t[known]
-        return float(np.median(t)), float(np.median(self.gnss.utc[known] - t))
+        return clock_pair(self.gnss)
+
+
+def clock_pair(gnss: Gnss) -> tuple[float, float] | None:
+    """Box time and UTC minus box time of the fixes; None without UTC."""
+    if gnss.utc is None:
+        return None
+    known = np.isfinite(gnss.utc)
+    if not known.any():
+        return None
+    t = gnss.t[known]
+    return float(np.median(t)), float(np.median(gnss.utc[known] - t))
 
 
 def digest_drive(drive: Drive) -> Digest:

@@ -20,3 +20,9 @@ def due_devices(session: Session, limit: int, *, now: dt.datetime, after: str = 
         DeviceState.review_at <= now, DeviceState.device_id > after
     )
     return list(session.scalars(union(waiting, review).order_by("id").limit(limit)))
+
+
+def burst_devices(session: Session, limit: int) -> list[str]:
+    """Devices with a burst that waits: somebody wants to know what happened."""
+    waiting = select(Batch.device_id).where(Batch.processed_at.is_(None), Batch.stream == "burst")
+    return list(session.scalars(waiting.distinct().order_by(Batch.device_id).limit(limit)))

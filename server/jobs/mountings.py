@@ -77,6 +77,8 @@ class Mountings:
         self._results = results
         self._estimator = estimator
         self._now = now
+        self.recorded: set[str] = set()
+        """Ids of the installations that got a new estimate."""
         self.rows = sorted(situation.installations, key=lambda row: row.began_at)
         self._data_end_s = max((boot.unix_s(boot.t_last_s) for boot in situation.boots.values()), default=0.0)
 
@@ -230,6 +232,7 @@ class Mountings:
             return  # less data before the move than the estimate of then had
         row.result, row.status, row.progress = result, estimate.status, estimate.progress
         row.algorithm, row.input_sha256, row.updated_at = ALGORITHM, input_sha256, self._now
+        self.recorded.add(row.id)
         self._results.announce(
             "installation", row.vehicle_id, installation_id=row.id, status=row.status, percent=result["percent"]
         )

@@ -46,16 +46,26 @@ class Situation:
     last_arrival: dt.datetime | None
     traffic_sides: dict[str, TrafficSide | None]
     """By vehicle: which side of the road it drives on, where known."""
+    more: bool
+    """Whether further batches are due after these."""
 
 
 def read_situation(session: Session, device_id: str, limit: int) -> Situation | None:
-    """Read what one round needs, at most `limit` batches in the order of arrival; None for an unknown device."""
+    """Read what one round needs, at most `limit` batches in the order of arrival; None for an unknown device.
+
+    Bursts come first, and in a round of their own: nobody who waits for a report waits for a backlog too.
+    """
     # First of all: whatever changes after this shows in the version when the round writes.
     state = session.get(DeviceState, device_id)
     device = session.get(Device, device_id)
     if device is None:
         return None
     due = select(Batch).where(Batch.device_id == device_id, Batch.processed_at.is_(None))
+    in_order = due.order_by(Batch.chain_index).limit(limit + 1)
+    batches = session.scalars(in_order.where(Batch.stream == "burst")).all()
+    alone = bool(batches)
+    if not alone:
+        batches = session.scalars(in_order).all()
     installations = (
         select(Installation)
         .where(Installation.device_id == device_id)
@@ -70,13 +80,19 @@ def read_situation(session: Session, device_id: str, limit: int) -> Situation | 
         version=state.version if state else None,
         device=device,
         state=state,
-        batches=session.scalars(due.order_by(Batch.chain_index).limit(limit)).all(),
+        batches=batches[:limit],
         boots={boot.boot: boot for boot in session.scalars(select(Boot).where(Boot.device_id == device_id))},
         installations=list(session.scalars(installations)),
         assignments=session.scalars(assignments).all(),
+        more=len(batches) > limit or (alone and _is_due(session, device_id)),
         last_arrival=session.scalar(select(func.max(Batch.received_at)).where(Batch.device_id == device_id)),
         traffic_sides={vehicle_id: cast("TrafficSide | None", side) for vehicle_id, side in session.execute(vehicles)},
     )
+
+
+def _is_due(session: Session, device_id: str) -> bool:
+    due = Batch.device_id == device_id, Batch.processed_at.is_(None), Batch.stream == "continuous"
+    return session.scalar(select(Batch.id).where(*due).limit(1)) is not None
 
 
 def clock_pairs(session: Session, device_id: str, boot: str) -> tuple[Floats, Floats]:

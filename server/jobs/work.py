@@ -20,13 +20,16 @@ from sqlalchemy import delete, insert, select
 from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
+from nav_core.crash import reconstruct_drive
 from nav_core.mounting.trips import told_of
 from server.database import Database
+from server.errors import ProblemError
 from server.formats.columns import Columns
 from server.formats.drive import to_drive
 from server.jobs import clock as clocks
 from server.jobs import situation as reads
-from server.jobs.digest import Digest, digest_drive, encode
+from server.jobs.digest import Digest, clock_pair, digest_drive, encode
+from server.jobs.events import Events, Reconstructor
 from server.jobs.mountings import Estimator, Mountings, Sources
 from server.jobs.results import Results
 from server.jobs.situation import Situation
@@ -71,10 +74,19 @@ class Read:
 
     digest: Digest | None
     failure: str | None = None
+    columns: Columns | None = None
+    clock_pair: tuple[float, float] | None = None
+    """Box time and UTC minus box time, of a burst whose fixes carry UTC."""
 
 
 def bring_up_to_date(
-    database: Database, store: BlobStore, device_id: str, *, clock: Clock, estimator: Estimator = told_of
+    database: Database,
+    store: BlobStore,
+    device_id: str,
+    *,
+    clock: Clock,
+    estimator: Estimator = told_of,
+    reconstructor: Reconstructor = reconstruct_drive,
 ) -> Outcome:
     """Work off a device's next batches, and its review when that is due."""
     known: dict[str, Read] = {}
@@ -83,7 +95,7 @@ def bring_up_to_date(
             situation = reads.read_situation(session, device_id, BATCHES)
         if situation is None:
             return Outcome()
-        work = Round(database, situation, clock(), estimator)
+        work = Round(database, store, situation, clock(), estimator, reconstructor)
         if not situation.batches and not work.review_due:
             return Outcome()
         for batch in situation.batches:
@@ -96,9 +108,7 @@ def bring_up_to_date(
 
 
 def read_batch(store: BlobStore, batch: Batch) -> Read:
-    """Digest of a batch; a burst has none yet.  An unreachable store raises: the batch stays due."""
-    if batch.stream != "continuous":
-        return Read(None)
+    """Columns and digest of a batch; a burst has no digest.  An unreachable store raises: the batch stays due."""
     try:
         content = store.get(batch.blob_key)
     except KeyError:
@@ -107,18 +117,42 @@ def read_batch(store: BlobStore, batch: Batch) -> Read:
         columns = Columns.from_parquet(content)
         if columns.column_sha256() != batch.column_sha256:
             return Read(None, "the blob's columns do not have the hash that was recorded")
-        return Read(digest_drive(to_drive(columns)))
+        drive = to_drive(columns)
+        if batch.stream != "continuous":
+            return Read(None, columns=columns, clock_pair=clock_pair(drive.gnss))
+        return Read(digest_drive(drive), columns=columns)
     except Exception as error:
         # Whatever a damaged blob raises must not stop the box.
         log.exception("batch cannot be decoded", batch_id=batch.id, device_id=batch.device_id)
         return Read(None, f"cannot be decoded: {type(error).__name__}: {error}"[:500])
 
 
+def read_columns(store: BlobStore, batch: Batch) -> Read:
+    """Columns alone of a batch that was worked off before; none when they are not what was hashed."""
+    try:
+        columns = Columns.from_parquet(store.get(batch.blob_key))
+    except (KeyError, ProblemError):
+        return Read(None, f"blob {batch.blob_key} is missing or damaged")
+    if columns.column_sha256() != batch.column_sha256:
+        return Read(None, "the blob's columns do not have the hash that was recorded")
+    return Read(None, columns=columns)
+
+
 class Round:
     """One attempt at one device."""
 
-    def __init__(self, database: Database, situation: Situation, now: dt.datetime, estimator: Estimator) -> None:
+    def __init__(
+        self,
+        database: Database,
+        store: BlobStore,
+        situation: Situation,
+        now: dt.datetime,
+        estimator: Estimator,
+        reconstructor: Reconstructor,
+    ) -> None:
         self._database = database
+        self._store_of_blobs = store
+        self._reconstructor = reconstructor
         self._situation = situation
         self._now = now
         self._estimator = estimator
@@ -147,13 +181,14 @@ class Round:
                 pieces.append(_piece(batch, read.digest))
                 results.digests.append(_digest_row(batch, read.digest))
         self._map_clocks(pieces)
+        self._map_burst_clocks(known)
         self._take_position(pieces)
         self._take_health(pieces, failed)
         self._trips(pieces)
-        pending = self._mountings(pieces)
-        self._plan_review(pending)
-        more = len(situation.batches) == BATCHES
-        return Outcome(len(situation.batches), failed, results.estimates, more)
+        mountings = self._mountings(pieces)
+        self._events(known, mountings)
+        self._plan_review(mountings.pending)
+        return Outcome(len(situation.batches), failed, results.estimates, situation.more)
 
     def _map_clocks(self, pieces: list[Piece]) -> None:
         """Bring the boots' clocks up to date."""
@@ -179,12 +214,39 @@ class Round:
             self._fit(boot, parts)
             self._results.put(boot)
 
+    def _map_burst_clocks(self, known: dict[str, Read]) -> None:
+        """Give a boot of which a burst came first a clock; the continuous stream makes it a better one."""
+        boots = self._situation.boots
+        for batch in self._situation.batches:
+            read = known[batch.id]
+            if batch.stream != "burst" or read.columns is None or batch.boot in boots:
+                continue
+            arrival = batch.received_at.timestamp() - batch.t_last_s
+            pair = read.clock_pair
+            fitted = clocks.from_arrival(arrival) if pair is None else clocks.from_fixes(*np.array([pair]).T)
+            boots[batch.boot] = boot = Boot(
+                device_id=self._situation.device.id,
+                boot=batch.boot,
+                ordinal=max((other.ordinal for other in boots.values()), default=-1) + 1,
+                arrival_offset_s=arrival,
+                t_first_s=batch.t_first_s,
+                t_last_s=batch.t_last_s,
+                trip_state={},
+                utc_offset_s=fitted.offset_s,
+                utc_drift=fitted.drift,
+                utc_sigma_s=fitted.sigma_s,
+                utc_source=fitted.source,
+            )
+            self._results.put(boot)
+
     def _fit(self, boot: Boot, parts: list[Piece]) -> None:
         with self._database.reading() as session:
             t, offset = reads.clock_pairs(session, self._situation.device.id, boot.boot)
         pairs = [pair for part in parts if (pair := part.digest.clock_pair()) is not None]
         t = np.append(t, [pair[0] for pair in pairs])
         offset = np.append(offset, [pair[1] for pair in pairs])
+        if not t.size and boot.utc_source == "gnss":
+            return  # a burst told UTC before
         fitted = clocks.from_fixes(t, offset) if t.size else clocks.from_arrival(boot.arrival_offset_s)
         boot.utc_offset_s, boot.utc_drift = fitted.offset_s, fitted.drift
         boot.utc_sigma_s, boot.utc_source = fitted.sigma_s, fitted.source
@@ -244,13 +306,34 @@ class Round:
             if boot is not latest or has_rested(boot) or (ends_at is not None and ends_at <= self._now):
                 trips.give_up(boot)
 
-    def _mountings(self, pieces: list[Piece]) -> bool:
-        """Bring the installations up to date; whether data still waits for an estimate."""
+    def _mountings(self, pieces: list[Piece]) -> Mountings:
+        """Bring the installations up to date."""
         sources = Sources(self._stored_between, self._last_revision)
         mountings = Mountings(self._situation, pieces, sources, self._results, estimator=self._estimator, now=self._now)
         mountings.take_in()
         mountings.estimate_due(all_pending=not pieces and self._silent_s >= self._quiet_s)
-        return mountings.pending
+        return mountings
+
+    def _events(self, known: dict[str, Read], mountings: Mountings) -> None:
+        """Find and revise events with the mountings as they stand now."""
+        batches = [batch for batch in self._situation.batches if known[batch.id].columns is not None]
+
+        def load(batch: Batch) -> Columns | None:
+            if batch.id not in known:
+                known[batch.id] = read_columns(self._store_of_blobs, batch)
+            return known[batch.id].columns
+
+        events = Events(
+            self._database,
+            self._situation,
+            self._results,
+            load=load,
+            installations=mountings.rows,
+            reconstructor=self._reconstructor,
+            now=self._now,
+        )
+        events.take_in(batches)
+        events.revise_unmounted(mountings.recorded)
 
     def _plan_review(self, pending: bool) -> None:
         under_way = any(

@@ -13,7 +13,7 @@ from types import FrameType
 import structlog
 
 from server.database import Database
-from server.jobs.due import due_devices
+from server.jobs.due import burst_devices, due_devices
 from server.jobs.supervise import parent_fd
 from server.migrations import is_current
 from server.settings import Settings, set_numba_cache_dir
@@ -28,6 +28,7 @@ BACKOFF_S = (1.0, 300.0)
 """A device whose work fails is left alone for this long at first, and at most; it doubles each time."""
 NICENESS = 5
 COLLECT_EVERY_S = 3600.0
+SEAL_EVERY_S = 20.0
 COLLECT_AGE = dt.timedelta(days=1)
 
 log = structlog.stdlib.get_logger("scatola.worker")
@@ -76,6 +77,7 @@ def run_worker(
     """Work off due devices until told to stop; the embedded mode's loop."""
     database, store = Database(settings), open_store(settings)
     keeper = start_housekeeping(database, store, stop=stop, clock=clock)
+    sealer = start_sealing(database, settings, stop=stop, clock=clock)
     rounds = Rounds(database, store, clock)
     try:
         while not stop.is_set():
@@ -84,6 +86,8 @@ def run_worker(
     finally:
         stop.set()
         keeper.join()
+        if sealer is not None:
+            sealer.join()
         database.dispose()
 
 
@@ -109,10 +113,21 @@ class Rounds:
             log.exception("cannot ask what is due")
             return False
         for device_id in devices:
-            if stop.is_set():
-                break
-            self._work(device_id)
+            # A burst that came meanwhile is not kept waiting by the others' backlogs.
+            for urgent in (*self._bursts(), device_id):
+                if stop.is_set():
+                    return True
+                self._work(urgent)
         return bool(devices)
+
+    def _bursts(self) -> list[str]:
+        try:
+            with self._database.reading() as session:
+                waiting = burst_devices(session, DEVICES)
+        except Exception:
+            log.exception("cannot ask for bursts")
+            return []
+        return [device_id for device_id in waiting if self._may_try(device_id, self._clock())]
 
     def _due(self) -> list[str]:
         now = self._clock()
@@ -153,6 +168,27 @@ def start_housekeeping(
                 log.info("blobs collected", deleted=deleted)
 
     thread = threading.Thread(target=keep, name="housekeeping", daemon=True)
+    thread.start()
+    return thread
+
+
+def start_sealing(
+    database: Database, settings: Settings, *, stop: threading.Event, clock: Clock
+) -> threading.Thread | None:
+    """Sign and timestamp the chains that events rest on, beside the work; None where the operator wants no seals."""
+    from server.evidence.seal import is_on, seal_waiting
+
+    if not is_on(settings):
+        return None
+
+    def keep() -> None:
+        while not stop.wait(SEAL_EVERY_S):
+            try:
+                seal_waiting(database, settings, now=clock())
+            except Exception:
+                log.exception("chains cannot be sealed")
+
+    thread = threading.Thread(target=keep, name="sealing", daemon=True)
     thread.start()
     return thread
 

@@ -6,6 +6,7 @@ from server.models.base import Base, new_id
 from server.models.batch import Batch, BatchDigest, SequenceRun
 from server.models.change import Change
 from server.models.device import Boot, ClaimCode, Device, DeviceRequest, DeviceState
+from server.models.event import ChainSeal, Event, EventAction, EventInput, EventRevision
 from server.models.installation import Installation, MountingRevision
 from server.models.organisation import Organisation
 from server.models.trip import TrackPoint, Trip
@@ -19,11 +20,16 @@ __all__ = [
     "Batch",
     "BatchDigest",
     "Boot",
+    "ChainSeal",
     "Change",
     "ClaimCode",
     "Device",
     "DeviceRequest",
     "DeviceState",
+    "Event",
+    "EventAction",
+    "EventInput",
+    "EventRevision",
     "Installation",
     "MountingRevision",
     "Organisation",

@@ -26,6 +26,13 @@ class Batch(Base):
             postgresql_where=text("processed_at IS NULL"),
             sqlite_where=text("processed_at IS NULL"),
         ),
+        # "Which box has a burst that waits?" is asked before every device, however long the backlog is.
+        Index(
+            "ix_batch_burst_due",
+            "device_id",
+            postgresql_where=text("processed_at IS NULL AND stream = 'burst'"),
+            sqlite_where=text("processed_at IS NULL AND stream = 'burst'"),
+        ),
         Index("ix_batch_device_id_received_at", "device_id", "received_at"),
     )
 

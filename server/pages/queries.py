@@ -13,6 +13,7 @@ from sqlalchemy.orm import Session
 from server.errors import NotFoundError
 from server.installations.blank import blank_result
 from server.models import Change, Device, DeviceState, Installation, Trip, Vehicle
+from server.pages.events import Line, lines, unreviewed
 from server.pages.words import (
     LIVE_WITHIN,
     MOVED_IS_NEWS_FOR,
@@ -24,6 +25,7 @@ from server.pages.words import (
 from server.trips.queries import trips
 
 TRIPS_SHOWN = 50
+EVENTS_SHOWN = 50
 INSTALLATIONS_SHOWN = 50
 
 
@@ -68,19 +70,22 @@ class Fleet:
     boxes: list[Box]
     empty_vehicles: list[Vehicle]
     """Vehicles without a box."""
+    crashes: list[Line]
+    """Severe events that nobody has looked at."""
 
     @property
     def reporting(self) -> int:
         return sum(box.reporting for box in self.boxes)
 
     @property
-    def attention(self) -> list[tuple[str, str, str, list[Box]]]:
+    def attention(self) -> Sequence[tuple[str, str, str, Sequence[Box | Line]]]:
         """Tiles: state for colour and shape, heading, what it means, whom it concerns."""
         loose = [box for box in self.boxes if box.standing.state == "alarm"]
         moved = [box for box in self.boxes if box.moved_lately]
         silent = [box for box in self.boxes if box.silent]
         waiting = [box for box in self.boxes if not box.standing.calibrated and box.standing.state != "alarm"]
         return [
+            ("alarm", "Crash", "not yet looked at", self.crashes),
             ("alarm", "Not fixed", "the box swings or lies loose", loose),
             ("attention", "Moved", "the box was turned in its vehicle", moved),
             ("unknown", "Silent", "no word for a day, or never", silent),
@@ -95,6 +100,8 @@ class History:
     installations: list[Installation]
     """Newest first, like the trips."""
     trips: list[Trip]
+    events: list[Line]
+    """Newest first; manoeuvres too."""
     reference_angle_deg: float | None
     """Between the estimate and the latest mounting known from elsewhere."""
 
@@ -120,7 +127,8 @@ def fleet(session: Session, organisation_id: str, *, now: dt.datetime) -> Fleet:
     boxes = _boxes(session, organisation_id, now=now)
     carried = {box.vehicle.id for box in boxes if box.vehicle}
     vehicles = session.scalars(select(Vehicle).where(Vehicle.organisation_id == organisation_id).order_by(Vehicle.name))
-    return Fleet(boxes, [vehicle for vehicle in vehicles if vehicle.id not in carried])
+    crashes = unreviewed(session, organisation_id, now=now)
+    return Fleet(boxes, [vehicle for vehicle in vehicles if vehicle.id not in carried], crashes)
 
 
 def vehicle_page(session: Session, organisation_id: str, vehicle_id: str, *, now: dt.datetime) -> VehiclePage:
@@ -158,7 +166,14 @@ def _history(session: Session, organisation_id: str, vehicle: Vehicle | None, bo
     angle = None
     if box is not None and box.installation is not None:
         angle = angle_to_reference(box.installation.result, box.device.reference_mountings)
-    return History(list(installations), list(driven), angle)
+    happened = lines(
+        session,
+        organisation_id,
+        device_id=device_id,
+        vehicle_id=None if vehicle is None else vehicle.id,
+        limit=EVENTS_SHOWN,
+    )
+    return History(list(installations), list(driven), happened, angle)
 
 
 def _boxes(

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any, Literal
 
-from fastapi import APIRouter, Request
-from starlette.responses import HTMLResponse
+from fastapi import APIRouter, Form, Request
+from starlette.responses import HTMLResponse, RedirectResponse, Response
 
-from server.accounts.access import Caller, Reader, look
+from server.accounts.access import Administrator, Caller, Reader, look
 from server.edge import DatabaseOf, Now, SettingsOf
+from server.events import service as events
+from server.pages import events as event_queries
 from server.pages import queries
 from server.pages.templating import renderer
 from server.pages.words import BEGINNINGS, STATUSES
@@ -64,6 +66,62 @@ def _look(request: Request, caller: Caller) -> None:
     """The page shows where vehicles are to whoever may see it, and the audit log tells that it did."""
     if caller.may("location.read"):
         look(request, caller, "location.read")
+
+
+@router.get("/events")
+def event_list(
+    request: Request,
+    caller: Reader,
+    database: DatabaseOf,
+    show: Literal["severe", "manoeuvres", "all"] = "severe",
+) -> HTMLResponse:
+    """What happened, the newest first."""
+    severe = {"severe": True, "manoeuvres": False, "all": None}[show]
+    with database.reading() as session:
+        change = queries.last_change(session, caller.organisation_id)
+        found = event_queries.lines(session, caller.organisation_id, severe=severe)
+    return answer(request, "events.html", caller, "events", change, {"lines": found, "show": show})
+
+
+@router.get("/events/{event_id}")
+def event(request: Request, event_id: str, caller: Reader, settings: SettingsOf, database: DatabaseOf) -> HTMLResponse:
+    """One event: replay, curves, map, numbers, downloads, review."""
+    with database.reading() as session:
+        change = queries.last_change(session, caller.organisation_id)
+        page = event_queries.event_page(session, caller.organisation_id, event_id)
+    context = {"page": page, "map_tiles_url": settings.map_tiles_url or "", "actions": event_queries.ACTIONS}
+    return answer(request, "event.html", caller, "events", change, context)
+
+
+@router.post("/events/{event_id}/review")
+def review(
+    event_id: str,
+    caller: Administrator,
+    database: DatabaseOf,
+    now: Now,
+    verdict: Annotated[Literal["confirmed", "false_alarm", "open"], Form()],
+    note: Annotated[str, Form(max_length=2000)] = "",
+) -> Response:
+    """The page's review form."""
+    said = None if verdict == "open" else verdict
+    with database.transaction() as session:
+        events.review(session, caller.organisation_id, event_id, said, note.strip() or None, actor=caller.kind, now=now)
+    return RedirectResponse(f"/events/{event_id}", 303)
+
+
+@router.post("/events/{event_id}/hold")
+def hold(
+    event_id: str,
+    caller: Administrator,
+    database: DatabaseOf,
+    now: Now,
+    held: Annotated[bool, Form()],
+    reason: Annotated[str, Form(min_length=1, max_length=500)],
+) -> Response:
+    """The page's form for a legal hold."""
+    with database.transaction() as session:
+        events.hold(session, caller.organisation_id, event_id, held=held, reason=reason, actor=caller.kind, now=now)
+    return RedirectResponse(f"/events/{event_id}", 303)
 
 
 def _vehicle_context(page: queries.VehiclePage, map_tiles_url: str | None) -> dict[str, Any]:

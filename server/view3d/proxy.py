@@ -50,13 +50,24 @@ def _path(ticket: str, device_id: str) -> str:
 @router.get("/view3d/{ticket}/{device_id}/")
 async def page(request: Request, ticket: str, device_id: str) -> Response:
     """The view's page, from the viewer."""
+    return await forward(request, f"{_path(ticket, device_id)}/")
+
+
+@router.get("/view3d/{ticket}/{device_id}/events/{event_id}.viser")
+async def recording(request: Request, ticket: str, device_id: str, event_id: str) -> Response:
+    """A recorded replay, from the viewer."""
+    return await forward(request, f"{_path(ticket, device_id)}/events/{quote(event_id, safe='')}.viser")
+
+
+async def forward(request: Request, path: str) -> Response:
+    """The viewer's answer; 503 where there is no viewer."""
     base = viewer_url(request)
     if base is not None:
         # The proxy settings of the environment are for other hosts.
-        async with httpx.AsyncClient(trust_env=False, timeout=10.0) as client:
+        async with httpx.AsyncClient(trust_env=False, timeout=30.0) as client:
             with contextlib.suppress(httpx.TransportError):
                 headers = {"accept-encoding": request.headers.get("accept-encoding", "identity"), **forwarded(request)}
-                async with client.stream("GET", f"{base}{_path(ticket, device_id)}/", headers=headers) as answer:
+                async with client.stream("GET", f"{base}{path}", headers=headers) as answer:
                     body = b"".join([part async for part in answer.aiter_raw()])
                 kept = {name: answer.headers[name] for name in _PASSED_ON if name in answer.headers}
                 return Response(body, answer.status_code, kept)

@@ -74,30 +74,7 @@ class MountingScene:
         scene = self._server.scene
         if self._body is not None:
             self._body.remove()
-        self._body = scene.add_frame("/vehicle/body", show_axes=False)
-        for index, loft in enumerate(body.lofts):
-            vertices, faces = shell(loft)
-            scene.add_mesh_simple(
-                f"/vehicle/body/shell{index}",
-                vertices.astype(np.float32),
-                faces,
-                color=_GLASS if loft.glass else _METAL,
-                opacity=0.05 if loft.glass else 0.16,
-                flat_shading=True,
-                side="double",
-            )
-            scene.add_line_segments(
-                f"/vehicle/body/lines{index}", creases(loft).astype(np.float32), _LINE, thickness=0.008
-            )
-        # A cylinder stands along z; half a quarter turn about x lays its axis across the vehicle.
-        across = wxyz(Rotation.from_euler("x", 90, degrees=True).as_matrix())
-        for index, wheel in enumerate(body.wheels):
-            place = (wheel.x, wheel.y, -wheel.radius)
-            name = f"/vehicle/body/wheel{index}"
-            scene.add_cylinder(name, wheel.radius, wheel.width, _RUBBER, wxyz=across, position=place)
-            scene.add_cylinder(
-                f"{name}hub", 0.55 * wheel.radius, wheel.width + 0.02, _GLASS, wxyz=across, position=place
-            )
+        self._body = draw_body(scene, "/vehicle/body", body)
         self._draw_v_frame(body)
         camera = self._server.initial_camera
         # The box is the subject: of a long vehicle the tail may leave the picture.
@@ -200,6 +177,31 @@ class MountingScene:
             position=(0.0, 0.0, -1.5 * radius),
             anchor="bottom-center",
         )
+
+
+def draw_body(scene: viser.SceneApi, root: str, body: Body) -> viser.FrameHandle:
+    """A vehicle's shells and wheels below a new node, in the V-frame."""
+    frame = scene.add_frame(root, show_axes=False)
+    for index, loft in enumerate(body.lofts):
+        vertices, faces = shell(loft)
+        scene.add_mesh_simple(
+            f"{root}/shell{index}",
+            vertices.astype(np.float32),
+            faces,
+            color=_GLASS if loft.glass else _METAL,
+            opacity=0.05 if loft.glass else 0.16,
+            flat_shading=True,
+            side="double",
+        )
+        scene.add_line_segments(f"{root}/lines{index}", creases(loft).astype(np.float32), _LINE, thickness=0.008)
+    # A cylinder stands along z; half a quarter turn about x lays its axis across the vehicle.
+    across = wxyz(Rotation.from_euler("x", 90, degrees=True).as_matrix())
+    for index, wheel in enumerate(body.wheels):
+        place = (wheel.x, wheel.y, -wheel.radius)
+        name = f"{root}/wheel{index}"
+        scene.add_cylinder(name, wheel.radius, wheel.width, _RUBBER, wxyz=across, position=place)
+        scene.add_cylinder(f"{name}hub", 0.55 * wheel.radius, wheel.width + 0.02, _GLASS, wxyz=across, position=place)
+    return frame
 
 
 def box_edges(size: Floats) -> Floats:

@@ -30,6 +30,7 @@ from server.errors import ProblemError
 from server.settings import Settings
 from server.view3d import permission
 from server.view3d.pool import ScenePool
+from server.view3d.recording import Replays
 from server.view3d.relay import refuse, relay, same_origin
 
 _EXPIRED = "This 3D view's ticket has expired. Reload the page that shows it."
@@ -43,6 +44,7 @@ class Viewer:
         self._clock = clock
         self._database = Database(settings)
         self.pool = pool or ScenePool(self._database, clock=clock)
+        self.replays = Replays(self._database)
         self._page = client_page()
         self._page_gzip = gzip.compress(self._page, 6)
         self._headers = {
@@ -84,6 +86,17 @@ class Viewer:
         finally:
             renewing.cancel()
             await run_in_threadpool(self.pool.leave, device_id)
+
+    async def recording(self, request: Request) -> Response:
+        """A recorded replay of one of the box's events, for the holder of a ticket."""
+        secret, device_id = request.path_params["ticket"], request.path_params["device_id"]
+        if not await run_in_threadpool(self._opens, secret, device_id):
+            return PlainTextResponse(_EXPIRED, 403, self._headers)
+        try:
+            content = await run_in_threadpool(self.replays.of, device_id, request.path_params["event_id"])
+        except ProblemError as problem:
+            return PlainTextResponse(problem.detail, problem.status, self._headers)
+        return Response(content, headers=self._headers, media_type="application/octet-stream")
 
     async def health(self, request: Request) -> Response:
         """Answers while the process lives."""
@@ -140,6 +153,7 @@ def create_viewer(
         routes=[
             Route("/healthz", viewer.health),
             Route(path + "/", viewer.page),
+            Route(path + "/events/{event_id}.viser", viewer.recording),
             # viser's client drops the slash at the end of the page's address to get the socket's.
             WebSocketRoute(path, viewer.socket),
             WebSocketRoute(path + "/", viewer.socket),

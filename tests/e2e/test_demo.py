@@ -38,6 +38,15 @@ def walk(service: Service, client: httpx.Client):
     eventually(lambda: {"SC-0001", "SC-0002"} <= ready(), within_s=120, what="two boxes are ready")
     assert len(installations(client)) == 9
     assert installations(client)["SC-0005"]["status"] == "insufficient"
+    crash = {"kind": "crash", "severe": True}
+    (event,) = eventually(
+        lambda: client.get("/api/v1/events", params=crash).raise_for_status().json()["items"],
+        within_s=120,
+        what="the demo's crash is found",
+    )
+    assert event["delta_v_kmh"]["resultant"] == pytest.approx(32.0, rel=0.15)
+    assert "Jeep Renegade" in client.get("/events").text
+    assert client.get(f"/api/v1/events/{event['id']}/scene.viser").status_code == 200
     before = {name: state["R_va"] for name, state in installations(client).items()}
     children = service.children()
     assert set(children) == {"worker", "viewer", "demo-fleet"}

@@ -31,6 +31,7 @@ class World:
         self.store = open_store(settings)
         self.device_id = self.new_device()
         self.estimator = gravity_estimator
+        self.reconstructor = nothing_happened
 
     def new_device(self, vehicle_id=None) -> str:
         with self.database.transaction() as session:
@@ -59,7 +60,12 @@ class World:
 
     def bring_up(self, device_id=None) -> Outcome:
         return bring_up_to_date(
-            self.database, self.store, device_id or self.device_id, clock=self.clock, estimator=self.estimator
+            self.database,
+            self.store,
+            device_id or self.device_id,
+            clock=self.clock,
+            estimator=self.estimator,
+            reconstructor=self.reconstructor,
         )
 
     def settle(self) -> None:
@@ -83,6 +89,11 @@ class World:
 
     def unprocessed(self) -> int:
         return sum(batch.processed_at is None for batch in self.rows(Batch))
+
+
+def nothing_happened(*_, **__):
+    """Finds no events."""
+    return ()
 
 
 def gravity_estimator(ticks, gnss, _past, _noise) -> Told:

@@ -401,11 +401,14 @@ def test_uploads_are_limited_per_device_before_the_body_is_read(settings, clock,
 @pytest.mark.both_databases
 def test_whoever_is_to_wake_is_told_of_the_device(app, client, make_device):
     woken: list[str] = []
-    app.state.wake = woken.append
+    urgent: list[str] = []
+    app.state.wake, app.state.wake_burst = woken.append, urgent.append
     box = Box(client, *make_device())
     box.send(0)
     box.send(0)
-    assert woken == [box.device_id]
+    assert (woken, urgent) == ([box.device_id], [])
+    box.send(0, Scatola_Stream="burst")
+    assert (woken, urgent) == ([box.device_id], [box.device_id])
 
 
 @pytest.mark.both_databases

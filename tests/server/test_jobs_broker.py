@@ -33,6 +33,10 @@ def until(condition, seconds=90.0) -> None:
         time.sleep(0.02)
 
 
+def bursts_of(queue: str) -> str:
+    return f"{queue}-bursts"
+
+
 @pytest.fixture
 def queue():
     """Name of a queue of the test's own, gone afterwards with its kin."""
@@ -43,8 +47,9 @@ def queue():
         missing_service(f"no RabbitMQ at 127.0.0.1:5672: {type(error).__name__}")
     yield name
     channel = connection.channel()
-    for each in (name, dq_name(name), xq_name(name)):
-        channel.queue_delete(each)
+    for one in (name, bursts_of(name)):
+        for each in (one, dq_name(one), xq_name(one)):
+            channel.queue_delete(each)
     connection.close()
 
 
@@ -71,7 +76,7 @@ def consume(settings, clock, queue, monkeypatch):
 
         def start() -> None:
             stop = threading.Event()
-            options = {"stop": stop, "clock": clock, "queue": queue}
+            options = {"stop": stop, "clock": clock, "queue": queue, "bursts": bursts_of(queue)}
             thread = threading.Thread(target=run_consumer, args=(settings,), kwargs=options)
             thread.start()
             running.callback(thread.join, 30.0)
@@ -96,6 +101,16 @@ def test_a_message_brings_a_device_up_to_date(world, batches, send, consume, mon
         send(world.device_id)
     until(lambda: world.unprocessed() == 0)
     assert len(world.rows(BatchDigest)) == len(batches)
+
+
+def test_bursts_have_a_queue_of_their_own(world, batches, settings, queue, consume, monkeypatch):
+    monkeypatch.setattr(Sweep, "once", lambda _sweep: 0)
+    world.put(batches[0], 0, stream="burst")
+    sender = Sender(settings, queue=bursts_of(queue), actor=jobs_broker.BURST_ACTOR)
+    sender(world.device_id)
+    consume()
+    until(lambda: world.unprocessed() == 0)
+    sender.close()
 
 
 def test_the_sweep_finds_what_no_message_told(world, batches, consume):
@@ -183,7 +198,7 @@ stop = threading.Event()
 threading.Thread(target=lambda: (sys.stdin.read(), stop.set()), daemon=True).start()
 now = dt.datetime.fromisoformat(sys.argv[2])
 print("ready", flush=True)
-broker.run_consumer(Settings(), stop=stop, clock=lambda: now, queue=sys.argv[1])
+broker.run_consumer(Settings(), stop=stop, clock=lambda: now, queue=sys.argv[1], bursts=sys.argv[1] + "-bursts")
 """
 
 

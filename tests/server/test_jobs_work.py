@@ -343,7 +343,7 @@ def test_killed_before_the_write_loses_nothing_and_does_nothing_twice(world, mon
 def computed(world) -> Round:
     with world.database.reading() as session:
         situation = reads.read_situation(session, world.device_id, 64)
-    work = Round(world.database, situation, world.clock(), world.estimator)
+    work = Round(world.database, world.store, situation, world.clock(), world.estimator, world.reconstructor)
     work.compute({batch.id: read_batch(world.store, batch) for batch in situation.batches})
     return work
 

@@ -6,9 +6,11 @@ import { formatTimes } from "./time.js";
 
 /** @typedef {{at: string, device_id: string | null, vehicle_id: string | null}} Change */
 
-const KINDS = ["batch", "installation", "trip", "position", "moved", "device", "vehicle"];
+const KINDS = ["batch", "installation", "trip", "position", "moved", "device", "vehicle", "event"];
 /** Changes come in crowds; a second's worth of them is one fetch. */
 const SETTLE_MS = 1000;
+/** Nobody who waits for a crash report waits for the crowd. */
+const URGENT_MS = 100;
 const RETRY_MS = 5000;
 
 /** @type {ReturnType<typeof setTimeout> | undefined} */
@@ -36,7 +38,7 @@ function connect() {
       /** @type {Change} */
       const change = JSON.parse(event.data);
       document.dispatchEvent(new CustomEvent("scatola:change", { detail: { kind, ...change } }));
-      if (concerns(change)) refreshSoon();
+      if (concerns(change)) refreshSoon(kind === "event" ? URGENT_MS : SETTLE_MS);
     });
   }
   addEventListener("pagehide", () => source.close());
@@ -55,9 +57,17 @@ function say(state, words) {
   if (sign && text) { sign.dataset.state = state; text.textContent = words; }
 }
 
-function refreshSoon() {
+/** @type {number} When the waiting refresh is due. */
+let dueAt = 0;
+
+/** @param {number} within milliseconds */
+function refreshSoon(within = SETTLE_MS) {
   stale = true;
-  if (pending === undefined && !document.hidden) pending = setTimeout(refresh, SETTLE_MS);
+  const at = performance.now() + within;
+  if (document.hidden || (pending !== undefined && dueAt <= at)) return;
+  clearTimeout(pending);
+  dueAt = at;
+  pending = setTimeout(refresh, within);
 }
 
 async function refresh() {

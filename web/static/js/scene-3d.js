@@ -1,4 +1,5 @@
-// <scene-3d device="id">: the 3D view in a frame of our own origin, opened with a short-lived ticket.
+// <scene-3d device="id" [event="id"]>: the box's 3D view, or a recorded replay of one of its events with viser's
+// player, in a frame of our own origin, opened with a short-lived ticket.
 
 import { whenSeen } from "./seen.js";
 
@@ -19,10 +20,12 @@ class Scene3d extends HTMLElement {
       const view = await fetch(url);
       void view.body?.cancel();
       if (!view.ok) throw new Error(`no view: ${view.status}`);
+      const event = this.getAttribute("event");
+      const recording = event ? `${url}events/${event}.viser` : "";
       const frame = document.createElement("iframe");
       const dark = matchMedia("(prefers-color-scheme: dark)").matches;
-      frame.title = "Box in the vehicle, in three dimensions";
-      frame.src = `${url}?hideViserLogo${dark ? "&darkMode" : ""}`;
+      frame.title = event ? "Replay of the event, in three dimensions" : "Box in the vehicle, in three dimensions";
+      frame.src = `${url}?hideViserLogo${dark ? "&darkMode" : ""}${recording && `&playbackPath=${encodeURIComponent(recording)}`}`;
       this.replaceChildren(frame);
     } catch {
       const again = document.createElement("button");

@@ -1,0 +1,75 @@
+"""`scatola verify`: the chain of evidence of boxes, or an archive of evidence."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import zipfile
+from typing import Any
+
+
+def verify(args: argparse.Namespace) -> int:
+    """Status 0 when everything holds, 1 when something does not."""
+    return _archive(args) if args.archive is not None else _boxes(args)
+
+
+def _archive(args: argparse.Namespace) -> int:
+    from server.evidence.verify import check
+
+    try:
+        with zipfile.ZipFile(args.archive) as bundle:
+            report = check(bundle.read, bundle.namelist())
+    except zipfile.BadZipFile as error:
+        raise ValueError(f"{args.archive} is no archive of evidence: {error}") from error
+    if args.json:
+        print(json.dumps({"passed": report.passed, "checks": report.lines}))
+    else:
+        for line in report.lines:
+            print(f"{'ok   ' if line['passed'] else 'WRONG'}  {line['check']}: {line['detail']}")
+    if not report.passed:
+        print(f"scatola: {args.archive} does not hold", file=sys.stderr)
+    return 0 if report.passed else 1
+
+
+def _boxes(args: argparse.Namespace) -> int:
+    from server.database import Database
+    from server.evidence.audit import audit, devices
+    from server.settings import Settings
+    from server.store import open_store
+
+    settings = Settings()
+    root = None if settings.timestamp_root_file is None else settings.timestamp_root_file.read_bytes()
+    database = Database(settings)
+    try:
+        found = devices(database, args.device)
+        if args.device is not None and not found:
+            raise ValueError(f"there is no box {args.device}")
+        store = open_store(settings)
+        audits = [audit(database, store, device_id, root_pem=root) for device_id in found]
+    finally:
+        database.dispose()
+    passed = all(each.passed for each in audits)
+    if args.json:
+        told: list[dict[str, Any]] = [
+            {
+                "device_id": each.device_id,
+                "name": each.name,
+                "passed": each.passed,
+                "links": each.links,
+                "erased": each.erased,
+                "seals": each.seals,
+                "faults": each.faults,
+            }
+            for each in audits
+        ]
+        print(json.dumps({"passed": passed, "devices": told}))
+    else:
+        for each in audits:
+            more = f", {each.erased} erased" if each.erased else ""
+            print(f"{'ok   ' if each.passed else 'WRONG'}  {each.name}: {each.links} links{more}, {each.seals} seals")
+            for fault in each.faults:
+                print(f"       {fault}")
+    if not passed:
+        print("scatola: the chain of evidence does not hold", file=sys.stderr)
+    return 0 if passed else 1

@@ -1,0 +1,378 @@
+"""Events out of data: found in what is new, put together from whole batches, revised when more comes.
+
+Detection looks at new data with some context.  A severe event is then computed once more from exactly the batches
+around it, which its document names: whoever has them gets the same bytes again.  Data that come later and reach into
+that window, or a mounting that becomes ready, make a further revision; the ones before are kept.
+"""
+
+from __future__ import annotations
+
+import datetime as dt
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from hashlib import sha256
+from itertools import pairwise
+from typing import Any, Protocol
+
+import structlog
+import zstandard
+from sqlalchemy import select
+
+from nav_core.events.record import CrashEvent, VehicleClass
+from nav_core.records import Drive, MountingEstimate
+from server.database import Database
+from server.events import queries
+from server.events.canonical import canonical, settle
+from server.events.document import document_of
+from server.events.window import Part, merged
+from server.formats.columns import Columns
+from server.formats.drive import to_drive
+from server.installations.blank import blank_result
+from server.installations.result import estimate_of
+from server.jobs.mountings import vehicle_at
+from server.jobs.results import Results
+from server.jobs.situation import Situation
+from server.models import Batch, Boot, Event, EventInput, EventRevision, Installation, Vehicle, new_id
+
+CONTEXT_S = 30.0
+"""So much before and after new data helps to judge it."""
+BACK_S = 5.0
+"""An event may have begun this long before the data that completes it."""
+BEFORE_S, AFTER_S = 40.0, 35.0
+"""What a reconstruction takes in around a severe event."""
+SAME_S = 1.5
+"""Two time zeros closer than this are one event seen twice."""
+STRETCH_S = 600.0
+"""Longest stretch that is looked at in one piece: bounds memory."""
+BEFORE_IMPACT_S = 10.0
+"""The mounting of an event is the one that held this long before it: an impact may turn the box."""
+
+_MOUNTING_KEYS = ("status", "method", "R_va", "sigma_deg", "stable", "reliable", "gps_lag_s")
+
+log = structlog.stdlib.get_logger("scatola.jobs")
+
+
+class Reconstructor(Protocol):
+    """As `nav_core.crash.reconstruct_drive`."""
+
+    def __call__(
+        self,
+        drive: Drive,
+        mounting: MountingEstimate,
+        *,
+        vehicle_class: VehicleClass = "car",
+        between: tuple[float, float] | None = None,
+    ) -> tuple[CrashEvent, ...]: ...
+
+
+@dataclass(frozen=True)
+class Found:
+    """An event, what it was computed from, and the document about it."""
+
+    event: CrashEvent
+    document: dict[str, Any]
+    batches: tuple[Batch, ...]
+    installation_id: str | None
+
+
+def run_inputs(inputs: dict[str, Any], parts: Sequence[Part], reconstructor: Reconstructor) -> tuple[CrashEvent, ...]:
+    """Events from the batches and settings that a document names."""
+    first, last = inputs["between_s"]
+    return reconstructor(
+        to_drive(merged(parts)),
+        estimate_of(inputs["mounting"]),
+        vehicle_class=inputs["vehicle_class"],
+        between=(first, last),
+    )
+
+
+class Events:
+    """The events of one device during one round."""
+
+    def __init__(
+        self,
+        database: Database,
+        situation: Situation,
+        results: Results,
+        *,
+        load: Callable[[Batch], Columns | None],
+        installations: Sequence[Installation],
+        reconstructor: Reconstructor,
+        now: dt.datetime,
+    ) -> None:
+        self._database = database
+        self._situation = situation
+        self._results = results
+        self._load = load
+        self._installations = sorted(installations, key=lambda row: row.began_at)
+        self._reconstructor = reconstructor
+        self._now = now
+        self._done: set[str] = set()
+
+    def take_in(self, new: Iterable[Batch]) -> None:
+        """Look for events in new batches, and revise those whose window they reach into."""
+        for boot, first, last in _stretches(new):
+            self._look(self._situation.boots[boot], first, last)
+
+    def revise_unmounted(self, installations: Iterable[str]) -> None:
+        """Revise the severe events that were computed before one of these mountings was ready."""
+        ready = {row.id for row in self._installations if row.id in set(installations) and row.status == "ready"}
+        if not ready:
+            return
+        with self._database.reading() as session:
+            stored = queries.events(
+                session,
+                self._situation.device.organisation_id,
+                device_id=self._situation.device.id,
+                severe=True,
+                limit=50,
+            )
+        for row in stored:
+            installation = self._installation_at(self._situation.boots[row.boot], row.t0_s)
+            waiting = row.result["basis"]["mounting_status"] != "ready"
+            if waiting and installation is not None and installation.id in ready and row.id not in self._done:
+                self._revise(row)
+
+    def _look(self, boot: Boot, first_s: float, last_s: float) -> None:
+        since = first_s - BACK_S
+        found = self._detect(boot, since, last_s)
+        with self._database.reading() as session:
+            device_id = self._situation.device.id
+            stored = list(queries.stored_between(session, device_id, boot.boot, first_s - AFTER_S, last_s + BEFORE_S))
+        open_rows = [row for row in stored if row.id not in self._done]
+        for each in found:
+            row = _same(open_rows, each.event)
+            if row is not None:
+                open_rows.remove(row)
+            if each.event.severe:
+                each = self._refined(boot, each.event.t0, each.event.t_end) or each  # noqa: PLW2901
+            self._store(boot, row, each)
+        for row in open_rows:
+            if row.severe:
+                self._revise(row)
+            elif since + SAME_S <= row.t0_s <= last_s - SAME_S:
+                self._withdraw(row)
+
+    def _detect(self, boot: Boot, since_s: float, until_s: float) -> list[Found]:
+        """Events that begin in a span, each with the mounting of its time."""
+        with self._database.reading() as session:
+            batches = queries.batches_between(
+                session, self._situation.device.id, boot.boot, since_s - CONTEXT_S, until_s + CONTEXT_S
+            )
+        found: list[Found] = []
+        for begin, end, installation in self._spans(boot, since_s, until_s):
+            found += self._run(boot, batches, (begin, end), installation)
+        return found
+
+    def _spans(self, boot: Boot, since_s: float, until_s: float) -> list[tuple[float, float, Installation | None]]:
+        """A span of the box's clock cut where the mounting changes."""
+        edges = [boot.box_s(row.began_at.timestamp()) + BEFORE_IMPACT_S for row in self._installations[1:]]
+        cuts = [since_s, *sorted(edge for edge in edges if since_s < edge < until_s), until_s]
+        return [(begin, end, self._installation_at(boot, 0.5 * (begin + end))) for begin, end in pairwise(cuts)]
+
+    def _installation_at(self, boot: Boot, t_s: float) -> Installation | None:
+        at = boot.utc(t_s - BEFORE_IMPACT_S)
+        rows = self._installations
+        return next((row for row in reversed(rows) if row.began_at <= at), rows[0] if rows else None)
+
+    def _refined(self, boot: Boot, t0_s: float, t_end_s: float, keep: dict[str, Any] | None = None) -> Found | None:
+        """One event again from exactly the batches around it; `keep` is a mounting to hold on to."""
+        with self._database.reading() as session:
+            batches = queries.batches_between(
+                session, self._situation.device.id, boot.boot, t0_s - BEFORE_S, t_end_s + AFTER_S
+            )
+        installation = self._installation_at(boot, t0_s)
+        found = self._run(boot, batches, (t0_s - SAME_S, t0_s + SAME_S), installation, keep)
+        return min(found, key=lambda each: abs(each.event.t0 - t0_s), default=None)
+
+    def _run(
+        self,
+        boot: Boot,
+        batches: Sequence[Batch],
+        between_s: tuple[float, float],
+        installation: Installation | None,
+        keep: dict[str, Any] | None = None,
+    ) -> list[Found]:
+        loaded = [(batch, columns) for batch in batches if (columns := self._load(batch)) is not None]
+        if not any("fx" in columns.values for _, columns in loaded):
+            return []
+        inputs: dict[str, Any] = settle(
+            {
+                "batches": [batch_json(batch) for batch, _ in loaded],
+                "between_s": between_s,
+                "mounting": keep or mounting_json(installation),
+                "vehicle_class": self._vehicle_class(boot.utc(between_s[0])),
+                "clock": clock_json(boot),
+            }
+        )
+        parts = [Part(columns, batch.stream == "burst") for batch, columns in loaded]
+        try:
+            events = run_inputs(inputs, parts, self._reconstructor)
+        except (ValueError, ArithmeticError):
+            # Typed errors of nav_core and of linear algebra: bad data must not keep the batches from being worked off.
+            log.exception("events cannot be computed", device_id=self._situation.device.id, between_s=between_s)
+            return []
+        used = tuple(batch for batch, _ in loaded)
+        return [
+            Found(event, self._document(event, inputs, boot), used, None if installation is None else installation.id)
+            for event in events
+        ]
+
+    def _document(self, event: CrashEvent, inputs: dict[str, Any], boot: Boot) -> dict[str, Any]:
+        return event_document(event, inputs, device_id=self._situation.device.id, boot=boot.boot)
+
+    def _vehicle_class(self, at: dt.datetime) -> str:
+        vehicle_id = vehicle_at(self._situation.assignments, at) or self._situation.device.vehicle_id
+        if vehicle_id is None:
+            return "car"
+        with self._database.reading() as session:
+            vehicle = session.get(Vehicle, vehicle_id)
+            return "car" if vehicle is None else vehicle.vehicle_class
+
+    def _revise(self, row: Event) -> None:
+        """Compute a stored severe event again; a mounting that was ready stays the event's own."""
+        boot = self._situation.boots[row.boot]
+        with self._database.reading() as session:
+            before = queries.revision_of(session, row)
+            inputs = queries.document(before)["inputs"]
+        installation = self._installation_at(boot, row.t0_s)
+        same = installation is not None and installation.id == before.installation_id
+        keep = inputs["mounting"] if same and inputs["mounting"]["status"] == "ready" else None
+        found = self._refined(boot, row.t0_s, row.t_end_s, keep)
+        if found is None:
+            self._withdraw(row)
+        else:
+            self._store(boot, row, found)
+
+    def _withdraw(self, row: Event) -> None:
+        self._done.add(row.id)
+        if row.verdict == "confirmed" or row.held_at is not None or row.withdrawn_at is not None:
+            return
+        row.withdrawn_at = row.updated_at = self._now
+        self._results.put(row)
+        self._results.announce("event", row.vehicle_id, event_id=row.id, event_kind=row.kind, withdrawn=True)
+
+    def _store(self, boot: Boot, row: Event | None, found: Found) -> None:
+        """Make the event or its next revision; nothing when its bytes are the same as before."""
+        content = canonical(found.document)
+        event = found.event
+        hashed = sha256(content).hexdigest()
+        known: set[str] = set()
+        if row is not None:
+            self._done.add(row.id)
+            with self._database.reading() as session:
+                before = queries.revision_of(session, row)
+                known = set(session.scalars(select(EventInput.batch_id).where(EventInput.event_id == row.id)))
+                if before.event_sha256 == hashed or (
+                    not event.severe and not row.severe and _plain(row.result) == _plain(found.document["event"])
+                ):
+                    return
+        row = row or self._made(boot, event)
+        row.revision += 1
+        row.kind, row.severe = event.kind, event.severe or row.severe
+        row.t0_s, row.t_end_s, row.at = event.t0, event.t_end, boot.utc(event.t0)
+        row.result, row.updated_at, row.withdrawn_at = settle(found.document["event"]), self._now, None
+        self._results.put(row)
+        self._results.put(
+            EventRevision(
+                id=new_id(),
+                event_id=row.id,
+                number=row.revision,
+                created_at=self._now,
+                installation_id=found.installation_id,
+                algorithm=found.document["algorithm"],
+                input_sha256=found.document["inputs"]["sha256"],
+                event_sha256=hashed,
+                document=zstandard.ZstdCompressor(level=6).compress(content),
+            )
+        )
+        for batch in found.batches:
+            if batch.id not in known:
+                self._results.put(EventInput(event_id=row.id, batch_id=batch.id))
+        self._results.announce(
+            "event", row.vehicle_id, event_id=row.id, event_kind=row.kind, severe=row.severe, revision=row.revision
+        )
+
+    def _made(self, boot: Boot, event: CrashEvent) -> Event:
+        at = boot.utc(event.t0)
+        row = Event(
+            id=new_id(),
+            organisation_id=self._situation.device.organisation_id,
+            device_id=self._situation.device.id,
+            vehicle_id=vehicle_at(self._situation.assignments, at) or self._situation.device.vehicle_id,
+            boot=boot.boot,
+            severe=event.severe,
+            created_at=self._now,
+            revision=0,
+        )
+        self._done.add(row.id)
+        return row
+
+
+def event_document(event: CrashEvent, inputs: dict[str, Any], *, device_id: str, boot: str) -> dict[str, Any]:
+    """The document, with what the service knows of the box's clock."""
+    document = document_of(event, inputs, device_id=device_id, boot=boot)
+    if inputs["clock"]["source"] == "arrival":
+        told = document["event"]
+        told["quality"] = [*told["quality"], "utc_from_arrival"]
+        detail = "No fix told UTC; it is the time of arrival, good to half a minute"
+        told["quality_details"] = [*told["quality_details"], {"code": "utc_from_arrival", "detail": detail}]
+    return document
+
+
+def batch_json(batch: Batch) -> dict[str, Any]:
+    """What a document says of a batch that it rests on."""
+    return {
+        "chain_index": batch.chain_index,
+        "stream": batch.stream,
+        "sequence": batch.sequence,
+        "rows": batch.rows,
+        "t_first_s": batch.t_first_s,
+        "t_last_s": batch.t_last_s,
+        "body_sha256": batch.body_sha256,
+        "column_sha256": batch.column_sha256,
+    }
+
+
+def mounting_json(installation: Installation | None) -> dict[str, Any]:
+    """The mounting as a document keeps it."""
+    result = blank_result() if installation is None else installation.result
+    return {
+        **{name: result.get(name) for name in _MOUNTING_KEYS},
+        "algorithm": None if installation is None else installation.algorithm,
+        "input_sha256": None if installation is None else installation.input_sha256,
+    }
+
+
+def clock_json(boot: Boot) -> dict[str, Any]:
+    """How the box's clock maps to UTC: ``utc = offset + (1 + drift) t``, to the millisecond."""
+    return {
+        "source": boot.utc_source,
+        "utc_offset_s": round(boot.utc_offset_s, 3),
+        "utc_drift": round(boot.utc_drift, 9),
+        "utc_sigma_s": round(boot.utc_sigma_s, 2),
+    }
+
+
+def _stretches(new: Iterable[Batch]) -> list[tuple[str, float, float]]:
+    """New batches as stretches of their boots' clocks, those that touch joined."""
+    stretches: list[tuple[str, float, float]] = []
+    for batch in sorted(new, key=lambda batch: (batch.boot, batch.t_first_s)):
+        boot, first, last = stretches[-1] if stretches else ("", 0.0, 0.0)
+        joins = boot == batch.boot and batch.t_first_s <= last + BACK_S and batch.t_last_s - first <= STRETCH_S
+        if joins:
+            stretches[-1] = boot, first, max(last, batch.t_last_s)
+        else:
+            stretches.append((batch.boot, batch.t_first_s, batch.t_last_s))
+    return stretches
+
+
+def _same(rows: Sequence[Event], event: CrashEvent) -> Event | None:
+    """The stored event that this one is: of the same kind if there is one, else one that it overlaps."""
+    near = [row for row in rows if row.t0_s - SAME_S <= event.t_end and event.t0 <= row.t_end_s + SAME_S]
+    return min(near, key=lambda row: (row.kind != event.kind, abs(row.t0_s - event.t0)), default=None)
+
+
+def _plain(result: dict[str, Any]) -> dict[str, Any]:
+    """A manoeuvre without what only tells how much context there was."""
+    return settle({name: value for name, value in result.items() if name not in ("basis", "driver")})

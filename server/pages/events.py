@@ -1,0 +1,174 @@
+"""What the event pages show, read once."""
+
+from __future__ import annotations
+
+import datetime as dt
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from sqlalchemy import select
+from sqlalchemy.orm import Session
+
+from server.events import queries
+from server.events.exports import utc_t0
+from server.models import Device, Event, EventAction, EventRevision, Vehicle
+from server.pages.words import State
+from server.reports.figures import Row, basis_rows, number_rows, risk_rows, sentences
+from server.reports.words import Words
+
+ENGLISH = Words("en")
+SHOWN = 200
+NEWS_FOR = dt.timedelta(days=14)
+"""How long a crash that nobody has looked at stays in the list of what needs attention."""
+
+SEVERITIES: dict[str, State] = {"crash": "alarm", "rollover": "alarm", "parked_impact": "attention"}
+REVIEWS = {"confirmed": "Confirmed", "false_alarm": "False alarm", None: "Open"}
+ACTIONS = {
+    "confirmed": "Confirmed",
+    "false_alarm": "Called a false alarm",
+    "reopened": "Opened again",
+    "held": "Put under legal hold",
+    "released": "Legal hold ended",
+}
+
+
+@dataclass(frozen=True)
+class Line:
+    """An event in a list."""
+
+    event: Event
+    vehicle: Vehicle | None
+    device: Device
+
+    @property
+    def url(self) -> str:
+        return f"/events/{self.event.id}"
+
+    @property
+    def name(self) -> str:
+        return self.vehicle.name if self.vehicle else self.device.name
+
+    @property
+    def state(self) -> State:
+        """Mark of the list: what was called a false alarm alarms nobody."""
+        return "unknown" if self.event.verdict == "false_alarm" else SEVERITIES.get(self.event.kind, "unknown")
+
+    @property
+    def kind(self) -> str:
+        return ENGLISH(self.event.kind)
+
+    @property
+    def review(self) -> str:
+        return REVIEWS[self.event.verdict]
+
+
+@dataclass(frozen=True)
+class EventPage:
+    """One event with everything beside it."""
+
+    line: Line
+    revision: EventRevision
+    document: Mapping[str, Any]
+    revisions: Sequence[EventRevision]
+    actions: Sequence[EventAction]
+
+    @property
+    def event(self) -> Event:
+        return self.line.event
+
+    @property
+    def told(self) -> Mapping[str, Any]:
+        """The crash JSON of the newest revision."""
+        return self.document["event"]
+
+    @property
+    def at(self) -> dt.datetime:
+        return dt.datetime.fromtimestamp(round(utc_t0(dict(self.document)), 2), dt.UTC)
+
+    @property
+    def sentences(self) -> list[str]:
+        return sentences(dict(self.document), ENGLISH, self.at)
+
+    @property
+    def numbers(self) -> list[Row]:
+        return number_rows(dict(self.told), ENGLISH)
+
+    @property
+    def risks(self) -> list[tuple[str, str, str, str, str]]:
+        return risk_rows(dict(self.told), ENGLISH)
+
+    @property
+    def basis(self) -> list[tuple[str, str]]:
+        return basis_rows(dict(self.document), ENGLISH)
+
+    @property
+    def from_where(self) -> str | None:
+        """Direction in words; None where it is not known."""
+        clock = self.told["pdof_clock"]
+        return None if clock is None else ENGLISH(f"where{clock}")
+
+    @property
+    def sketch(self) -> dict[str, float | str] | None:
+        """Geometry of the sketch: the arrow's angle, and the sector as an SVG path on a circle of 100."""
+        pdof, interval = self.told["pdof_deg"], self.told["pdof_interval95_deg"]
+        if pdof is None:
+            return None
+        (x1, y1), (x2, y2) = (_on_circle(end) for end in interval)
+        wide = int(interval[1] - interval[0] > 180.0)
+        return {"angle": pdof, "sector": f"M0 0L{x1:.2f} {y1:.2f}A100 100 0 {wide} 1 {x2:.2f} {y2:.2f}Z"}
+
+
+def _on_circle(angle_deg: float) -> tuple[float, float]:
+    angle = math.radians(angle_deg)
+    return 100.0 * math.sin(angle), -100.0 * math.cos(angle)
+
+
+def lines(
+    session: Session,
+    organisation_id: str,
+    *,
+    severe: bool | None = None,
+    device_id: str | None = None,
+    vehicle_id: str | None = None,
+    since: dt.datetime | None = None,
+    limit: int = SHOWN,
+) -> list[Line]:
+    """Events with their vehicles, the newest first."""
+    rows = queries.events(
+        session,
+        organisation_id,
+        severe=severe,
+        device_id=device_id,
+        vehicle_id=vehicle_id,
+        since=since,
+        limit=limit,
+    )
+    devices = {row.id: row for row in session.scalars(select(Device).where(Device.id.in_({e.device_id for e in rows})))}
+    wanted = {e.vehicle_id for e in rows if e.vehicle_id}
+    vehicles = {row.id: row for row in session.scalars(select(Vehicle).where(Vehicle.id.in_(wanted)))}
+    return [Line(row, vehicles.get(row.vehicle_id or ""), devices[row.device_id]) for row in rows]
+
+
+def unreviewed(session: Session, organisation_id: str, *, now: dt.datetime) -> list[Line]:
+    """Severe events of late that nobody has looked at."""
+    found = lines(session, organisation_id, severe=True, since=now - NEWS_FOR)
+    return [line for line in found if line.event.verdict is None]
+
+
+def event_page(session: Session, organisation_id: str, event_id: str) -> EventPage:
+    """One event."""
+    event = queries.event_of(session, organisation_id, event_id)
+    revision = queries.revision_of(session, event)
+    return EventPage(
+        Line(
+            event,
+            session.get(Vehicle, event.vehicle_id) if event.vehicle_id else None,
+            session.get_one(Device, event.device_id),
+        ),
+        revision,
+        queries.document(revision),
+        queries.revisions(session, event.id),
+        queries.actions(session, event.id),
+    )

@@ -1,0 +1,42 @@
+"""The report over HTTP."""
+
+from __future__ import annotations
+
+from fastapi import APIRouter
+from starlette.responses import Response
+
+from server.accounts.access import Reader
+from server.edge import DatabaseOf
+from server.events.routes import EventId, Language, Revision, Subject, attachment, subject_of
+from server.reports.pdf import Heading, report_pdf
+
+router = APIRouter(prefix="/api/v1/events", tags=["events"])
+
+MEDIA_TYPE = "application/pdf"
+
+
+def heading_of(subject: Subject) -> Heading:
+    """What the report calls things."""
+    return Heading(
+        event_id=subject.event.id,
+        revision=subject.revision.number,
+        event_sha256=subject.revision.event_sha256,
+        device_name=subject.device.name,
+        vehicle_name=None if subject.vehicle is None else subject.vehicle.name,
+        plate=None if subject.vehicle is None else subject.vehicle.plate,
+    )
+
+
+@router.get(
+    "/{event_id}/report.pdf",
+    response_class=Response,
+    responses={200: {"content": {MEDIA_TYPE: {"schema": {"type": "string", "format": "binary"}}}}},
+)
+def read_report(
+    event_id: EventId, caller: Reader, database: DatabaseOf, lang: Language = "en", revision: Revision = None
+) -> Response:
+    """The report of a revision, English or Italian; the same bytes each time."""
+    subject = subject_of(database, caller, event_id, revision)
+    return attachment(
+        report_pdf(subject.document, heading_of(subject), lang), MEDIA_TYPE, subject, f"report-{lang}.pdf"
+    )

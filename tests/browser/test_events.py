@@ -1,0 +1,194 @@
+"""The event list and an event's page, as a claims handler walks them."""
+
+from __future__ import annotations
+
+import datetime as dt
+import hashlib
+import sys
+from pathlib import Path
+
+import pytest
+import zstandard
+from playwright.sync_api import expect
+from sqlalchemy import select
+
+from server.events.canonical import canonical, settle
+from server.events.document import document_of
+from server.jobs.events import batch_json, clock_json, mounting_json
+from server.live.changes import announce
+from server.models import Batch, Boot, Device, Event, EventInput, EventRevision, Installation
+from tests.browser.test_pages import css, wait_drawn
+from tests.browser.test_view3d import CHATTER, PATIENCE_MS, coloured, viewer
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "server"))
+from crash_world import crash
+
+__all__ = ["viewer"]
+
+
+@pytest.fixture
+def event(site) -> str:
+    """A crash of the first vehicle, on the raw data that it has."""
+    with site.database.transaction() as session:
+        device = session.scalars(select(Device).where(Device.vehicle_id == site.vehicles["Fiat Panda"])).one()
+        batches = session.scalars(select(Batch).where(Batch.device_id == device.id).order_by(Batch.sequence)).all()
+        boot = session.scalars(select(Boot).where(Boot.device_id == device.id)).one()
+        installation = session.scalars(select(Installation).where(Installation.device_id == device.id)).one()
+        t0 = 120.0
+        made = crash(t0, utc_t0=boot.unix_s(t0))
+        inputs = settle(
+            {
+                "batches": [batch_json(batch) for batch in batches],
+                "between_s": [t0 - 1.5, t0 + 1.5],
+                "mounting": mounting_json(installation),
+                "vehicle_class": "car",
+                "clock": clock_json(boot),
+            }
+        )
+        document = settle(document_of(made, inputs, device_id=device.id, boot=boot.boot))
+        content, now = canonical(document), dt.datetime.now(dt.UTC)
+        row = Event(
+            organisation_id=device.organisation_id,
+            device_id=device.id,
+            vehicle_id=device.vehicle_id,
+            boot=boot.boot,
+            kind="crash",
+            severe=True,
+            t0_s=t0,
+            t_end_s=made.t_end,
+            at=boot.utc(t0),
+            created_at=now,
+            updated_at=now,
+            revision=1,
+            result=document["event"],
+        )
+        session.add(row)
+        session.flush()
+        session.add(
+            EventRevision(
+                event_id=row.id,
+                number=1,
+                created_at=now,
+                installation_id=installation.id,
+                algorithm=document["algorithm"],
+                input_sha256=document["inputs"]["sha256"],
+                event_sha256=hashlib.sha256(content).hexdigest(),
+                document=zstandard.ZstdCompressor().compress(content),
+            )
+        )
+        session.add_all(EventInput(event_id=row.id, batch_id=batch.id) for batch in batches)
+        announce(
+            session,
+            "event",
+            at=now,
+            organisation_id=device.organisation_id,
+            device_id=device.id,
+            vehicle_id=device.vehicle_id,
+            data={"event_id": row.id, "event_kind": "crash", "severe": True, "revision": 1},
+        )
+        return row.id
+
+
+def test_a_crash_asks_for_attention_and_leads_to_its_page(event, open_page):
+    page = open_page("/")
+    tile = page.locator(".tile").filter(has=page.get_by_text("Crash", exact=True))
+    expect(tile.locator(".tile-number")).to_have_text("1")
+    tile.get_by_role("link", name="Fiat Panda").click()
+    page.wait_for_url(f"**/events/{event}")
+    expect(page.get_by_role("heading", name="Crash", exact=True)).to_be_visible()
+    page.get_by_role("link", name="Events").click()
+    row = page.get_by_role("row").filter(has=page.get_by_role("link", name="Crash", exact=True))
+    expect(row).to_contain_text("[30, 34]")
+    expect(row).to_contain_text("Open")
+    page.get_by_role("link", name="Manoeuvres").click()
+    expect(page.locator("#events")).to_contain_text("Nothing so far")
+
+
+def walk(page):
+    figures = page.locator("#figures")
+    for words in (
+        "32.0km/h",
+        "[29.9, 34.3]",
+        "\N{MINUS SIGN}20.0°",
+        "ahead on the left",
+        "43.2km/h",
+        "17.9g",
+        "at least: clipped",
+    ):
+        expect(figures).to_contain_text(words)
+    expect(page.locator("#words")).to_contain_text("The force came from ahead on the left (11 o'clock)")
+    expect(page.get_by_role("img", name="Force from ahead on the left, 11 o'clock")).to_be_visible()
+    expect(page.locator("#numbers")).to_contain_text("NHTSA-2022-all")
+    expect(page.locator("#quality")).to_contain_text("9 samples reached the full scale")
+    charts = page.locator("event-charts")
+    charts.scroll_into_view_if_needed()
+    expect(charts).to_have_attribute("data-drawn", "3")
+    for plot, colour in (("dv", "axis-x"), ("dv", "axis-y"), ("pulse", "axis-x"), ("speed", "track")):
+        wait_drawn(page, page.locator(f'[data-plot="{plot}"] canvas'), css(page, colour), 100)
+    way = page.locator("event-map")
+    way.scroll_into_view_if_needed()
+    expect(way).to_have_attribute("data-points", "121")
+    wait_drawn(page, way, css(page, "alarm-fill"), 60)
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_the_event_page_shows_everything(event, open_page, screenshot, scheme):
+    page = open_page(f"/events/{event}", color_scheme=scheme)
+    walk(page)
+    screenshot(page, f"event-{scheme}")
+
+
+def test_the_event_page_on_a_phone(event, open_page, screenshot):
+    page = open_page(f"/events/{event}", viewport={"width": 390, "height": 844}, device_scale_factor=2)
+    walk(page)
+    assert page.evaluate("document.documentElement.scrollWidth") <= 390
+    screenshot(page, "event-phone")
+
+
+def test_downloads_and_review(event, site, open_page):
+    page = open_page(f"/events/{event}")
+    for name, start in (
+        ("Report, PDF", b"%PDF"),
+        ("Evidence archive", b"PK"),
+        ("Parquet", b"PAR1"),
+        ("MCAP", b"\x89MCAP"),
+    ):
+        with page.expect_download() as download:
+            page.locator("#downloads").get_by_role("link", name=name, exact=True).click()
+        assert Path(download.value.path()).read_bytes().startswith(start)
+    page.get_by_label("Note").fill("Seen with the driver")
+    page.get_by_role("button", name="Confirm").click()
+    expect(page.locator("#heading")).to_contain_text("Review: confirmed")
+    expect(page.locator("#actions")).to_contain_text("Confirmed: Seen with the driver")
+    page.get_by_label("Legal hold").fill("Claim 4711")
+    page.get_by_role("button", name="Hold: keep").click()
+    expect(page.locator("#heading")).to_contain_text("legal hold")
+    with site.database.reading() as session:
+        row = session.get(Event, event)
+        assert (row.verdict, row.hold_reason) == ("confirmed", "Claim 4711")
+    page.get_by_label("Legal hold").fill("Settled")
+    page.get_by_role("button", name="End the hold").click()
+    expect(page.locator("#heading")).not_to_contain_text("legal hold")
+
+
+@pytest.mark.usefixtures("viewer")
+def test_the_replay_plays_and_can_be_scrubbed(event, open_page, screenshot):
+    page = open_page(f"/events/{event}", expected=CHATTER)
+    page.set_default_timeout(PATIENCE_MS)
+    frame = page.frame_locator("scene-3d iframe")
+    time = frame.get_by_role("textbox").first
+    expect(time).to_be_visible(timeout=PATIENCE_MS)
+    expect(time).not_to_have_value("0.0", timeout=PATIENCE_MS)  # it plays
+    page.keyboard.press("Escape")
+    frame.locator("body").press("Space")  # viser's key for pause
+    time.fill("6.8")
+    time.press("Tab")
+    box = page.locator("scene-3d").bounding_box()
+    red = 0
+    for _ in range(40):
+        red = coloured(page.screenshot(clip=box))["red"]
+        if red > 300:
+            break
+    screenshot(page, "event-replay")
+    assert red > 300, "the arrow of the force, which is there from time zero on"
+    expect(time).to_have_value("6.8")

@@ -1,0 +1,99 @@
+"""Trigger, time zero and end of event against pulses whose integral is known in closed form."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from nav_core.events.trigger import (
+    KMH,
+    THRESHOLD,
+    TRIGGER,
+    WINDOW,
+    groups,
+    integrate,
+    stream_of,
+    strongest_change,
+    window_around,
+)
+from nav_core.records import Inertial
+
+G = 9.80665
+
+
+def half_sine(t, begin, length, delta_v):
+    x = np.clip((t - begin) / length, 0.0, 1.0)
+    return delta_v * np.pi / (2.0 * length) * np.sin(np.pi * x)
+
+
+def recording(rate, *, delta_v=10.0, length=0.1, angle=0.4, noise=0.0, span=6.0):
+    t = np.arange(round(span * rate)) / rate
+    a = half_sine(t, 4.0, length, delta_v)
+    f = np.column_stack([-a * np.cos(angle), -a * np.sin(angle), np.full(t.size, -G)])
+    return Inertial(t, f + noise * np.random.default_rng(1).standard_normal(f.shape))
+
+
+@pytest.mark.parametrize("rate", [50.0, 100.0, 200.0, 1000.0, 10_000.0])
+def test_time_zero_is_the_start_of_the_first_window_over_the_threshold(rate):
+    stream = stream_of(recording(rate), np.eye(3))
+    core = int(np.searchsorted(stream.t, 4.05)) - 1
+    window = window_around(stream.t, stream.v[:, :2], core)
+    # v = dv/2 (1 - cos(pi t / T)): the first 20 ms window over 0.8 km/h ends where v gets there.
+    reached = 0.1 / np.pi * np.arccos(1.0 - 2.0 * THRESHOLD / 10.0)
+    assert stream.t[window.zero] - 4.0 == pytest.approx(reached - WINDOW, abs=1.1 / rate)
+    left = 0.1 - reached + WINDOW
+    assert stream.t[window.end] - 4.0 == pytest.approx(left, abs=2.5 / rate)
+    assert stream.t[window.last] - stream.t[window.end] == pytest.approx(0.03, abs=1.1 / rate)
+    change = np.hypot(*(stream.v[window.last, :2] - stream.v[window.zero, :2]))
+    assert change == pytest.approx(10.0, rel=0.04 if rate < 100.0 else 0.01)  # trapezia of five samples
+
+
+def test_eight_km_h_within_150_ms_trigger_and_less_does_not():
+    for delta_v, length, triggers in ((8.2, 0.14, True), (7.8, 0.14, False), (16.0, 0.5, False), (9.0, 0.02, True)):
+        stream = stream_of(recording(200.0, delta_v=delta_v * KMH, length=length), np.eye(3))
+        assert bool(strongest_change(stream).max() >= TRIGGER) is triggers
+
+
+def test_one_g_of_braking_does_not_trigger():
+    t = np.arange(2000) / 200.0
+    f = np.tile([0.0, 0.0, -G], (t.size, 1))
+    f[t > 5.0, 0] = -G
+    assert strongest_change(stream_of(Inertial(t, f), np.eye(3))).max() < 0.7 * TRIGGER
+
+
+def test_a_pulse_that_swings_through_zero_is_one_event():
+    t = np.arange(6000) / 1000.0
+    a = half_sine(t, 4.0, 0.08, 8.0) + half_sine(t, 4.1, 0.05, 3.0)
+    f = np.column_stack([-a, 0.0 * a, np.full(t.size, -G)])
+    stream = stream_of(Inertial(t, f), np.eye(3))
+    window = window_around(stream.t, stream.v[:, :2], 4040)
+    assert stream.t[window.end] > 4.14
+
+
+def test_nothing_is_integrated_over_a_gap():
+    inertial = recording(200.0)
+    keep = (inertial.t < 2.0) | (inertial.t > 3.0)
+    stream = stream_of(Inertial(inertial.t[keep], inertial.f[keep]), np.eye(3))
+    assert np.count_nonzero(stream.step == 0.0) == 2
+    before, after = stream.at(np.array([3.95, 4.15]))
+    assert np.hypot(*(after - before)[:2]) == pytest.approx(10.0, rel=0.01)
+
+
+def test_slope_and_bias_are_taken_off_and_the_opening_of_a_short_burst_serves():
+    t = np.arange(500) / 1000.0
+    a = half_sine(t, 0.1, 0.1, 10.0)
+    f = np.column_stack([-a + 0.8, 0.3 + 0.0 * a, np.full(t.size, -G)])
+    stream = stream_of(Inertial(t, f), np.eye(3))
+    after = stream.at(np.array([0.25]))[0]
+    assert after[0] == pytest.approx(-10.0, abs=0.01)
+    assert after[1] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_integrals_and_groups():
+    t = np.linspace(0.0, 1.0, 11)
+    step = np.diff(t, prepend=t[:1])
+    assert integrate(np.column_stack([t]), step)[-1, 0] == pytest.approx(0.5)
+    flags = np.array([0, 1, 1, 0, 0, 0, 1, 0, 1, 0, 0], dtype=bool)
+    assert groups(flags, t, 0.25) == [(1, 2), (6, 8)]
+    assert groups(np.zeros(11, dtype=bool), t, 0.25) == []
+    assert stream_of(Inertial(np.zeros(0), np.zeros((0, 3))), np.eye(3)).t.size == 0

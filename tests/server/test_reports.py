@@ -1,0 +1,148 @@
+"""The report: both languages whole, the same bytes, quick, and nothing put where nothing is known."""
+
+from __future__ import annotations
+
+import dataclasses
+import datetime as dt
+import re
+import string
+import time
+from pathlib import Path
+
+import pytest
+import rich
+from crash_world import braking, crash
+
+from server.events.canonical import settle, sha256
+from server.events.document import document_of
+from server.events.exports import edr_csv, edr_json
+from server.reports.figures import number_rows, sentences
+from server.reports.pdf import Heading, report_pdf
+from server.reports.words import ENGLISH, ITALIAN, ITALIAN_REMARKS, Words
+
+NAV_CORE = Path(__file__).resolve().parents[2] / "nav_core"
+INPUTS = {
+    "batches": [
+        {
+            "chain_index": k,
+            "stream": "burst" if k == 0 else "continuous",
+            "sequence": k,
+            "rows": 2000,
+            "t_first_s": 10.0 * k,
+            "t_last_s": 10.0 * k + 10.0,
+            "body_sha256": f"{k:064x}",
+            "column_sha256": f"{k + 99:064x}",
+        }
+        for k in range(20)
+    ],
+    "between_s": [98.5, 101.5],
+    "mounting": {"status": "ready", "method": "whole-drive", "algorithm": "whole-drive/1", "input_sha256": "0" * 64},
+    "vehicle_class": "car",
+    "clock": {"source": "gnss", "utc_offset_s": 1772366400.0, "utc_drift": 0.0, "utc_sigma_s": 0.31},
+}
+
+
+def document_from(event) -> dict:
+    return settle(document_of(event, INPUTS, device_id="0f6c" * 8, boot="boot-7"))
+
+
+def heading(document) -> Heading:
+    return Heading("ab" * 16, 2, sha256(document), "SC-0006", "Jeep Renegade", "GF 606 ZZ")
+
+
+def pages(pdf: bytes) -> int:
+    return len(re.findall(rb"/Type /Page\b(?!s)", pdf))
+
+
+def test_both_catalogues_have_the_same_sentences_with_the_same_values():
+    def fields(text: str) -> set[str]:
+        return {name for _, name, _, _ in string.Formatter().parse(text) if name}
+
+    assert ENGLISH.keys() == ITALIAN.keys()
+    for key, text in ENGLISH.items():
+        assert fields(text) == fields(ITALIAN[key]), key
+
+
+def test_every_remark_of_the_reconstruction_is_known_in_italian():
+    found: set[str] = set()
+    for file in [*NAV_CORE.glob("crash/*.py"), *NAV_CORE.glob("events/*.py")]:
+        found |= set(re.findall(r'Remark\(\s*"([a-z0-9_]+)"', file.read_text(encoding="utf-8")))
+    assert found
+    assert found <= ITALIAN_REMARKS.keys()
+
+
+def test_numbers_are_written_in_the_languages_way():
+    assert Words("en").number(-0.04, 1) == "0.0"
+    assert Words("en").number(-12.34, 1) == "\N{MINUS SIGN}12.3"
+    assert Words("it").interval([-1.5, 2.25], 2) == "[\N{MINUS SIGN}1,50; 2,25]"
+    assert Words("it").date(2026, 3, 1) == "1 marzo 2026"
+
+
+@pytest.mark.parametrize("language", ["en", "it"])
+@pytest.mark.parametrize("clock", [*range(1, 13)])
+def test_every_direction_has_words(language, clock):
+    assert Words(language)(f"where{clock}")
+
+
+@pytest.mark.parametrize("language", ["en", "it"])
+def test_a_crash_fills_three_to_five_pages(language):
+    document = document_from(crash(100.0))
+    pdf = report_pdf(document, heading(document), language)
+    assert 3 <= pages(pdf) <= 5
+    assert pdf == report_pdf(document, heading(document), language)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"trajectory": None, "rest": None, "driver": None},
+        {"pdof": None, "impact_speed": None, "injuries": (), "second_impacts": ()},
+        {"kind": "rollover", "quality": ()},
+        {"delta_v": None, "pulse": None, "kind": "parked_impact"},
+    ],
+)
+def test_what_is_missing_is_not_recorded_and_breaks_nothing(changes):
+    document = document_from(dataclasses.replace(crash(100.0), **changes))
+    assert 1 <= pages(report_pdf(document, heading(document), "en")) <= 5
+    assert edr_csv(document)
+    if document["event"]["pulse"] is not None:
+        rows = {name: value for name, value, _, _ in number_rows(document["event"], Words("en"))}
+        assert rows["THIV (EN 1317-1)"] == "not recorded"
+
+
+def test_a_manoeuvre_has_a_short_report():
+    document = document_from(braking(50.0))
+    assert pages(report_pdf(document, heading(document), "it")) <= 2
+
+
+def test_sentences_tell_the_story():
+    document = document_from(crash(100.0))
+    told = " ".join(sentences(document, Words("en"), dt.datetime(2026, 3, 1, 12, 2, tzinfo=dt.UTC)))
+    for part in (
+        "1 March 2026 at 12:02:00.00",
+        "ahead on the left (11 o'clock)",
+        "32.0 km/h",
+        "29.9 to 34.3",
+        "11 m from",
+    ):
+        assert part in told
+
+
+def test_report_elements_and_replay_together_take_under_two_seconds_of_cpu():
+    from server.view3d.recording import record
+
+    rich.reconfigure(quiet=True)
+    document = document_from(crash(100.0))
+
+    def all_three() -> None:
+        report_pdf(document, heading(document), "en")
+        edr_json(document, "0" * 64)
+        record(document)
+
+    all_three()  # warm
+    began = time.process_time()
+    all_three()
+    took = time.process_time() - began
+    rich.reconfigure(quiet=False)
+    print(f"report, elements and replay: {took:.2f} s of CPU")
+    assert took < 2.0

@@ -1,0 +1,122 @@
+// <event-charts document="url">: delta-V with its band, the pulse as recorded and as estimated, speed with its band.
+
+import uPlot from "../vendor/uplot/uplot.mjs";
+import { eventDocument, forgetDocuments } from "./event-document.js";
+import { colour } from "./palette.js";
+import { whenSeen } from "./seen.js";
+
+/** @typedef {import("./event-document.js").Column} Column */
+/** @typedef {{label: string, values: Column, stroke: string, dash?: number[], sigma?: Column}} Curve */
+const HEIGHT = 210;
+const SIGMAS_95 = 1.96;
+
+class EventCharts extends HTMLElement {
+  /** @type {uPlot[]} */ #plots = [];
+
+  connectedCallback() {
+    this.innerHTML = `
+      <p class="chart-head"><b>Change of velocity <span class="unit">km/h, 95 % band</span></b><span data-keys="dv"></span></p><div class="plot" data-plot="dv"></div>
+      <p class="chart-head"><b>Acceleration, gravity removed <span class="unit">g</span></b><span data-keys="pulse"></span></p><div class="plot" data-plot="pulse"></div>
+      <p class="chart-head"><b>Speed <span class="unit">km/h, 95 % band</span></b></p><div class="plot" data-plot="speed"></div>
+      <p class="chart-words" role="status">Reading the curves</p>`;
+    whenSeen(this, () => void this.#draw());
+    document.addEventListener("scatola:change", this.#onChange);
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => void this.#draw());
+    new ResizeObserver(() => { for (const plot of this.#plots) plot.setSize({ width: plot.root.parentElement?.clientWidth || 300, height: HEIGHT }); }).observe(this);
+  }
+
+  disconnectedCallback() {
+    document.removeEventListener("scatola:change", this.#onChange);
+    for (const plot of this.#plots) plot.destroy();
+  }
+
+  /** A further revision of this event. @param {Event} event */
+  #onChange = (event) => {
+    const change = /** @type {CustomEvent<{kind: string, event_id?: string, revision?: number}>} */ (event).detail;
+    if (change.kind !== "event" || !change.revision || !this.getAttribute("document")?.includes(change.event_id ?? "-")) return;
+    forgetDocuments();
+    void this.#draw();
+  };
+
+  async #draw() {
+    const words = /** @type {HTMLElement} */ (this.querySelector(".chart-words"));
+    let found;
+    try {
+      found = await eventDocument(this.getAttribute("document") ?? "");
+    } catch {
+      words.textContent = "The curves could not be read";
+      return;
+    }
+    for (const plot of this.#plots) plot.destroy();
+    this.#plots = [];
+    const { pulse, trajectory } = found.curves;
+    if (pulse) {
+      const ms = pulse.t_s.map((t) => (t === null ? null : 1000 * t));
+      const after = pulse.sigma_kmh.map((sigma, k) => ((pulse.t_s[k] ?? -1) >= 0 ? sigma : 0));
+      this.#plot("dv", "ms", ms, [
+        { label: "longitudinal", values: pulse.delta_v_kmh_x, stroke: colour("axis-x"), sigma: after },
+        { label: "lateral", values: pulse.delta_v_kmh_y, stroke: colour("axis-y"), sigma: after },
+      ]);
+      /** @type {Curve[]} */
+      const curves = [
+        { label: "longitudinal", values: pulse.recorded_g_x, stroke: colour("axis-x") },
+        { label: "lateral", values: pulse.recorded_g_y, stroke: colour("axis-y") },
+      ];
+      if (pulse.clipped.some(Boolean)) {
+        curves.push(
+          { label: "dashed: with the estimate of what was clipped", values: pulse.acceleration_g_x, stroke: colour("axis-x"), dash: [5, 4] },
+          { label: "", values: pulse.acceleration_g_y, stroke: colour("axis-y"), dash: [5, 4] },
+        );
+      }
+      this.#plot("pulse", "ms", ms, curves);
+    }
+    if (trajectory) this.#plot("speed", "s", trajectory.t_s, [{ label: "", values: trajectory.speed_kmh, stroke: colour("track"), sigma: trajectory.speed_sigma_kmh }]);
+    words.textContent = "Time counts from time zero.";
+    this.dataset.drawn = String(this.#plots.length);
+  }
+
+  /** @param {string} name @param {string} unit @param {Column} x @param {Curve[]} curves */
+  #plot(name, unit, x, curves) {
+    const host = /** @type {HTMLElement} */ (this.querySelector(`[data-plot="${name}"]`));
+    host.replaceChildren();
+    const keys = this.querySelector(`[data-keys="${name}"]`);
+    keys?.replaceChildren(...curves.filter((c) => c.label).map(key));
+    /** @type {Column[]} */ const columns = [x];
+    /** @type {uPlot.Series[]} */ const series = [{ label: unit }];
+    /** @type {uPlot.Band[]} */ const bands = [];
+    for (const { label, values, stroke, dash, sigma } of curves) {
+      if (sigma) {
+        const reach = (/** @type {1 | -1} */ side) => values.map((v, k) => (v === null || sigma[k] === null || sigma[k] === undefined ? null : v + side * SIGMAS_95 * sigma[k]));
+        columns.push(reach(1), reach(-1));
+        series.push({ points: { show: false } }, { points: { show: false } });
+        bands.push({ series: [series.length - 2, series.length - 1], fill: `${stroke}33` });
+      }
+      columns.push(values);
+      series.push({ label, stroke, width: 1.8, ...(dash && { dash }), points: { show: false } });
+    }
+    const axis = { stroke: colour("muted"), grid: { stroke: colour("line"), width: 1 }, ticks: { show: false }, font: "12px system-ui, sans-serif" };
+    this.#plots.push(new uPlot({
+      width: host.clientWidth, height: HEIGHT, legend: { show: false }, scales: { x: { time: false } }, series, bands,
+      cursor: { drag: { x: true, y: false }, points: { size: 6 }, ...(name !== "speed" && { sync: { key: "event" } }) },
+      axes: [{ ...axis, size: 30, values: (_, ticks) => ticks.map((t) => `${String(t).replace("-", "−")} ${unit}`) }, { ...axis, size: 48, values: (_, ticks) => ticks.map((t) => String(t).replace("-", "−")) }],
+    }, /** @type {uPlot.AlignedData} */ (/** @type {unknown} */ (columns)), host));
+  }
+}
+
+/** @param {Curve} curve */
+function key({ label, stroke }) {
+  const words = document.createElement("span");
+  words.className = "chart-key";
+  const sample = document.createElementNS("http://www.w3.org/2000/svg", "svg");
+  sample.setAttribute("width", "14");
+  sample.setAttribute("height", "3");
+  const line = document.createElementNS("http://www.w3.org/2000/svg", "rect");
+  line.setAttribute("width", "14");
+  line.setAttribute("height", "3");
+  line.setAttribute("fill", stroke);
+  sample.append(line);
+  words.append(sample, ` ${label} `);
+  return words;
+}
+
+customElements.define("event-charts", EventCharts);
