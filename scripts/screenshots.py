@@ -44,7 +44,7 @@ def take(link: str, out: Path) -> None:
         page = context.new_page()
         page.set_default_timeout(120_000)
         page.goto(link)
-        page.get_by_role("button").click()
+        page.get_by_role("button", name="Sign in with the code").click()
         page.get_by_role("row", name=SHOWN).get_by_text("moved", exact=True).wait_for()
         photograph(page, out / "fleet.png", settle_s=8)
         page.get_by_role("link", name=SHOWN).first.click()

@@ -349,7 +349,9 @@ def test_a_real_loggers_file_is_read_as_it_is():
     assert drive.inertial.w is not None
     assert drive.inertial.m is not None
     assert 20.0 < np.nanmedian(np.linalg.norm(drive.inertial.m, axis=1)) < 100.0  # µT, in a car
-    assert drive.gnss.t.size == pytest.approx(expected.gnss.t.size, rel=0.1)
+    # A report a second; the tests' own reader takes those that repeat a place for no reports.
+    assert drive.gnss.t.size == pytest.approx(drive.inertial.t[-1] - drive.inertial.t[0], rel=0.01)
+    assert drive.gnss.t.size >= expected.gnss.t.size
     assert np.nanmax(drive.gnss.speed) == pytest.approx(np.nanmax(expected.gnss.speed), rel=1e-6)
 
 
