@@ -127,5 +127,5 @@ def run_all(path: Path, *, workers: int = 2) -> list[dict[str, Any]]:
             file.write(json.dumps(entry) + "\n")
             file.flush()
             done.append(entry)
-            print(f"\r{len(done)} of {len(known) + len(todo)} drives", end="", file=sys.stderr)
+            print(f"\r{len(done)} of {len(known) + len(todo)} drives", end="", file=sys.stderr, flush=True)
     return done
