@@ -73,7 +73,7 @@ def mounting_bound(scenario: Scenario, *, seed: int) -> Floats:
     away, at the level of its speed.
     """
     drive, truth = simulate(replace(scenario.faultless(), accel_rate=50.0), seed=seed)
-    record = prepare(decimate(drive.inertial), usable_fixes(drive.gnss))
+    record = prepare(decimate(drive.inertial), usable_fixes(drive.gnss, thinned=False))
     variance = np.full(record.t.size, scenario.accel_noise**2 + scenario.accel_resolution**2 / 12.0)
     if scenario.accel_rate < FOLDS:
         share = np.minimum(np.abs(np.interp(record.t, truth.t, truth.v)) / scenario.vibration_speed, 1.0)

@@ -1,9 +1,9 @@
 """Many trips of one installation, fused in information form.
 
 What a trip says of the mounting fits into one small matrix, so a new trip costs its own length and
-no more.  The mounting, the car's gains and lever arm and the receiver's lags are the same in all
-trips and keep their prior once; the accelerometer's bias and the mean bank of the roads come anew in
-part, and that part is summed out before a trip joins the others.
+no more.  The mounting, the car's gains and lever arm are the same in all trips and keep their prior
+once; the accelerometer's bias, the receiver's lags, the roads' mean bank and what the load does to the
+car come anew in part, and that part is summed out before a trip joins the others.
 """
 
 from __future__ import annotations
@@ -17,15 +17,18 @@ from scipy.spatial.transform import Rotation
 from nav_core.errors import ShapeError
 from nav_core.mounting.confidence import FLOOR, assess
 from nav_core.mounting.model import BIAS, COURSE_LAG, MILLI_G, SPEED_LAG, TURN, UNKNOWNS, Noise, prior
-from nav_core.mounting.refine import BLOCK, Fit
+from nav_core.mounting.refine import BLOCK, Fit, likely_bias
 from nav_core.rotation import error_between
 from nav_core.typing import Floats
 
 BIAS_AGAIN = 2.0 * MILLI_G
 """How much of the bias is new in every trip (temperature, switching on), 1 sigma, m/s²."""
 
-BANK_AGAIN = np.radians(0.25)
-"""How far the mean bank of one trip's roads strays from that of the others, 1 sigma, rad."""
+TURN_AGAIN = np.radians([0.25, 0.3, 0.1])
+"""The same of the mounting about V x (the roads' mean bank), y (the load tilts the car) and z, rad."""
+
+LAG_AGAIN = 0.2
+"""And of the receiver's lags, s."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +47,8 @@ class TripEvidence:
     duration : float
         Of the stretches behind it, s.
     trips : int
+    handed : float
+        Twice the log of likelihoods in favour of right-handed axes; see `trouble.handedness`.
     """
 
     R_va: Floats
@@ -52,6 +57,7 @@ class TripEvidence:
     gram: Floats
     duration: float
     trips: int = 1
+    handed: float = 0.0
 
     def __post_init__(self) -> None:
         for name, shape in (("R_va", (3, 3)), ("gram", (1 + UNKNOWNS, 1 + UNKNOWNS))):
@@ -59,12 +65,14 @@ class TripEvidence:
                 raise ShapeError(name, getattr(self, name).shape, str(shape))
 
 
-def trip_evidence(fit: Fit) -> TripEvidence:
+def trip_evidence(fit: Fit, handed: float = 0.0) -> TripEvidence:
     """What a fit of one trip has to say to others.
 
     Parameters
     ----------
     fit : Fit
+    handed : float
+        See `TripEvidence`.
 
     Returns
     -------
@@ -75,8 +83,9 @@ def trip_evidence(fit: Fit) -> TripEvidence:
     scale[1:4] = 1.0 / found.widening
     gram = fit.gram.sum(0) * np.outer(scale, scale)
     again = np.zeros(UNKNOWNS)
-    again[BIAS], again[0] = BIAS_AGAIN, BANK_AGAIN
-    return TripEvidence(fit.R_va, fit.speed_lag, fit.course_lag, _without_own(gram, again), BLOCK * len(fit.gram))
+    again[TURN], again[BIAS], again[[SPEED_LAG, COURSE_LAG]] = TURN_AGAIN, BIAS_AGAIN, LAG_AGAIN
+    duration = BLOCK * len(fit.gram)
+    return TripEvidence(fit.R_va, fit.speed_lag, fit.course_lag, _without_own(gram, again), duration, handed=handed)
 
 
 def joined(trips: Sequence[TripEvidence]) -> TripEvidence:
@@ -107,6 +116,7 @@ def joined(trips: Sequence[TripEvidence]) -> TripEvidence:
         gram,
         sum(trip.duration for trip in trips),
         sum(trip.trips for trip in trips),
+        sum(trip.handed for trip in trips),
     )
 
 
@@ -124,14 +134,15 @@ def solved(evidence: TripEvidence, noise: Noise) -> tuple[Floats, Floats]:
     covariance : ndarray, shape (3, 3)
         About the V axes, rad², without the mean bank common to all roads.
     """
-    diagonal, mean = prior(noise, (evidence.speed_lag, evidence.course_lag))
+    lags = (evidence.speed_lag, evidence.course_lag)
+    diagonal, mean = prior(likely_bias(noise, evidence.gram, lags), lags)
     covariance = np.linalg.inv(evidence.gram[1:, 1:] + np.diag(diagonal + 1e-6))
     turn = (covariance @ (diagonal * mean - evidence.gram[1:, 0]))[TURN]
     R_va: Floats = Rotation.from_rotvec(turn).as_matrix() @ evidence.R_va
     return R_va, covariance[TURN, TURN] + FLOOR**2 * np.eye(3)
 
 
-def disagreement(one: TripEvidence, other: TripEvidence, noise: Noise) -> tuple[float, float]:
+def disagreement(one: TripEvidence, other: TripEvidence, noise: Noise) -> tuple[float, Floats]:
     """How far two sets of trips are apart.
 
     Parameters
@@ -143,13 +154,13 @@ def disagreement(one: TripEvidence, other: TripEvidence, noise: Noise) -> tuple[
     -------
     chi2 : float
         Squared difference over its covariance, three degrees of freedom.
-    angle : float
-        rad.
+    apart : ndarray, shape (3,)
+        The small rotation from `one` to `other` about the V axes, rad.
     """
     R_one, C_one = solved(one, noise)
     R_other, C_other = solved(other, noise)
     e = error_between(R_other, R_one)
-    return float(e @ np.linalg.solve(C_one + C_other, e)), float(np.linalg.norm(e))
+    return float(e @ np.linalg.solve(C_one + C_other, e)), e
 
 
 def _without_own(gram: Floats, again: Floats) -> Floats:

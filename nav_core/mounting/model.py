@@ -88,7 +88,7 @@ class Noise:
     is the 95 % limit, which is what an interval is made of."""
     crown_mean: float = 0.0
     """What is expected of it, right side down positive; see `roads_of`, rad."""
-    bias: float = 6.0 * MILLI_G
+    bias: float = 5.0 * MILLI_G
     """Accelerometer bias before the drive has spoken, per axis, m/s²."""
     drift: float = 1.0 * MILLI_G / np.sqrt(300.0)
     """Random walk of the bias (temperature), (m/s²)/√s."""

@@ -8,7 +8,18 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from nav_core.mounting.closed_form import Start
-from nav_core.mounting.model import BIAS, COURSE_LAG, SPEED_LAG, TURN, UNKNOWNS, Noise, pitch_plane, prior, yaw_plane
+from nav_core.mounting.model import (
+    BIAS,
+    COURSE_LAG,
+    MILLI_G,
+    SPEED_LAG,
+    TURN,
+    UNKNOWNS,
+    Noise,
+    pitch_plane,
+    prior,
+    yaw_plane,
+)
 from nav_core.mounting.stretch import Record, blocks_of
 from nav_core.mounting.whitening import Evidence, echo, whiten
 from nav_core.typing import Floats
@@ -88,13 +99,50 @@ def weigh(
     return Evidence(*(np.concatenate(pair, axis=1) for pair in zip(pitch, yaw, strict=True)))
 
 
-def likely_bias(noise: Noise, seen: float) -> Noise:
-    """The bias prior after one of three components has been seen.
+UNCALIBRATED = 30.0 * MILLI_G
+"""Bias of an accelerometer that nobody calibrated, 1 sigma, m/s²: the zero-g offset of ordinary parts' data sheets."""
 
-    The vertical one shows in the magnitude of gravity; a bad accelerometer is bad in all axes.
-    Inverse-gamma prior of the variance with two degrees of freedom.
+UNCALIBRATED_SHARE = 0.2
+"""Of all boxes, before the drive has spoken."""
+
+
+def likely_bias(noise: Noise, gram: Floats, lags: tuple[float, float]) -> Noise:
+    """The bias prior after the drive has shown some of the bias.
+
+    A box is calibrated or it is not, and its three axes are alike: what is seen of one (the vertical
+    one shows in the magnitude of gravity) tells of the others.  The evidence for each grade is the
+    likelihood of the drive with all unknowns but the grade integrated out.
+
+    Parameters
+    ----------
+    noise : Noise
+        Its `bias` is that of a calibrated box.
+    gram : ndarray, shape (14, 14)
+        All evidence of the drive, without prior.
+    lags : tuple of float
+        Where it was linearised, s.
+
+    Returns
+    -------
+    Noise
+        With the mean variance of both grades as the bias's.
     """
-    return replace(noise, bias=float(np.sqrt((2.0 * noise.bias**2 + seen**2) / 3.0)))
+    diagonal, mean = prior(noise, lags)
+    others = np.delete(np.arange(UNKNOWNS), np.arange(UNKNOWNS)[BIAS])
+    rest = np.ix_(1 + others, 1 + others)
+    inner = gram[rest] + np.diag(diagonal[others] + 1e-6)
+    cross = gram[1:, 1:][BIAS][:, others]
+    pull = (diagonal * mean - gram[1:, 0])[others]
+    A = gram[1:, 1:][BIAS, BIAS] - cross @ np.linalg.solve(inner, cross.T)
+    y = -gram[1:, 0][BIAS] - cross @ np.linalg.solve(inner, pull)
+    grades = np.array([noise.bias, max(UNCALIBRATED, noise.bias)])
+    score = np.log([1.0 - UNCALIBRATED_SHARE, UNCALIBRATED_SHARE])
+    for grade, sigma in enumerate(grades):
+        posterior = A + np.eye(3) / sigma**2
+        told = float(y @ np.linalg.solve(posterior, y))
+        score[grade] += 0.5 * (told - float(np.linalg.slogdet(sigma**2 * posterior)[1]))
+    weight = np.exp(score - score.max())
+    return replace(noise, bias=float(np.sqrt(weight @ grades**2 / weight.sum())))
 
 
 LEAST_SHARE = 0.05
@@ -135,12 +183,12 @@ def refine(record: Record, start: Start, noise: Noise, p: Floats | None = None) 
     R_va, lags = start.R_va, (start.speed_lag, start.course_lag)
     at = np.zeros(UNKNOWNS) if p is None else p.copy()
     at[TURN] = at[[SPEED_LAG, COURSE_LAG]] = 0.0
-    suited = noise
     number = 0
     while True:
-        evidence = weigh(record, R_va, lags, suited, at, HUBER if number or p is not None else np.inf)
-        diagonal, mean = prior(suited, lags)
+        evidence = weigh(record, R_va, lags, noise, at, HUBER if number or p is not None else np.inf)
         gram = evidence.gram.sum((0, 1))
+        suited = likely_bias(noise, gram, lags)
+        diagonal, mean = prior(suited, lags)
         at = np.linalg.solve(gram[1:, 1:] + np.diag(diagonal + 1e-6), diagonal * mean - gram[1:, 0])
         turn = at[TURN] * min(1.0, _MAX_TURN / max(float(np.linalg.norm(at[TURN])), 1e-9))
         shift = at[[SPEED_LAG, COURSE_LAG]]
@@ -151,7 +199,6 @@ def refine(record: Record, start: Start, noise: Noise, p: Floats | None = None) 
         R_va = Rotation.from_rotvec(turn).as_matrix() @ R_va
         lags = (float(np.clip(lags[0] + shift[0], 0.0, MAX_LAG)), float(np.clip(lags[1] + shift[1], 0.0, MAX_LAG)))
         at[TURN] = at[[SPEED_LAG, COURSE_LAG]] = 0.0
-        suited = likely_bias(noise, float(at[BIAS][2]))
     share = _informative(record, R_va, lags, suited, gram)
     return Fit(
         R_va=R_va,

@@ -41,12 +41,14 @@ LONG_SPACING = 0.45
 """Least time between fixes, s, up to a duration of `LONG` seconds and beyond: a long drive has fixes to spare."""
 
 
-def usable_fixes(gnss: Gnss) -> Fixes:
+def usable_fixes(gnss: Gnss, *, thinned: bool = True) -> Fixes:
     """Fixes that carry news, without crowding: half of the error of velocity is common to neighbours.
 
     Parameters
     ----------
     gnss : Gnss
+    thinned : bool
+        Leave out what crowds; all fixes know a little more and cost more.
 
     Returns
     -------
@@ -54,7 +56,7 @@ def usable_fixes(gnss: Gnss) -> Fixes:
     """
     good = gnss.fix & np.isfinite(gnss.speed) & ~stale(gnss)
     t, speed, course, alt = gnss.t[good], gnss.speed[good], gnss.course[good], gnss.alt[good]
-    if t.size > 1:
+    if thinned and t.size > 1:
         spacing = SPACING if t[-1] - t[0] < LONG else LONG_SPACING
         if np.median(np.diff(t)) < spacing:
             cell = np.floor(t / spacing).astype(np.int64)

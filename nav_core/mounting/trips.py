@@ -12,13 +12,18 @@ from nav_core.mounting.fusion import TripEvidence, disagreement, joined, solved,
 from nav_core.mounting.model import Noise, less_crown
 from nav_core.mounting.moved import LEAST_ANGLE, SURE
 from nav_core.mounting.quality import reason
-from nav_core.mounting.whole_drive import analyse
+from nav_core.mounting.trouble import HANDED, MIRRORED
+from nav_core.mounting.whole_drive import analyse, refused
 from nav_core.records import Gnss, MountingChange, MountingEstimate
 from nav_core.signal import Ticks
 from nav_core.typing import Floats
 
 DOUBTFUL = 16.3
 """Disagreement that one in a thousand trips of an untouched box reaches (three degrees of freedom)."""
+
+
+UNREMARKABLE = 6.25
+"""Nine in ten trips of an untouched box stay under this; what is beyond widens the covariance."""
 
 
 class Told(NamedTuple):
@@ -52,29 +57,56 @@ def told_of(ticks: Ticks, gnss: Gnss, past: TripEvidence | None, noise: Noise) -
     -----
     A trip that contradicts the past beyond doubt, and is itself sure, was driven with a box that had
     been moved before: the change stands at its beginning and the past is dropped.  One that
-    contradicts it less clearly leaves the estimate with the past and says so.
+    contradicts it less clearly, or by too little to be called a move, is joined with it all the same,
+    and the more unlikely the disagreement is, the more of it is part of the stated covariance.  Data that are refused stay refused, whatever
+    was known before; where they show that the axes are left-handed, the past was read wrongly as well.
     """
-    estimate, fit = analyse(ticks, gnss, noise=noise)
-    own = None if fit is None else trip_evidence(fit)
-    if past is None or estimate.changes or estimate.status == "not_fixed":
-        return Told(estimate, own, past is not None and not estimate.changes)
+    estimate, fit, handed = analyse(ticks, gnss, noise=noise)
+    own = None if fit is None else trip_evidence(fit, handed)
+    codes = {each.code for each in estimate.reasons}
+    if past is None or estimate.changes or estimate.status == "not_fixed" or codes & _REFUSED:
+        keeps = past is not None and not estimate.changes and "mirrored" not in codes
+        return Told(estimate, own, with_past=keeps)
+    if past.handed + handed < -MIRRORED:
+        return Told(refused(reason("mirrored")), None, with_past=False)
     if own is None or fit is None:
-        return Told(_of(estimate, past, noise), None, with_past=True)
-    chi2, angle = disagreement(past, own, noise)
+        known = _of(estimate, past, noise)
+        return Told(known if "mismatch" not in codes else _doubted(known), None, with_past=True)
+    chi2, apart = disagreement(past, own, noise)
+    angle = float(np.linalg.norm(apart))
     if chi2 > SURE and angle > LEAST_ANGLE and estimate.status == "ready":
         change = MountingChange(fit.begin, angle, solved(past, noise)[0], fit.R_va)
         return Told(replace(estimate, changes=(change,)), own, with_past=False)
-    if chi2 > DOUBTFUL:
-        doubt = _of(estimate, past, noise)
-        return Told(replace(doubt, status="settling", reasons=(reason("contradiction"), *doubt.reasons)), None, True)
-    return Told(_of(estimate, joined([past, own]), noise), own, with_past=True)
+    unlikely = max(1.0 - UNREMARKABLE / max(chi2, 1e-9), 0.0)
+    known = _of(estimate, joined([past, own]), noise, np.sqrt(unlikely) * apart)
+    return Told(_doubted(known) if chi2 > DOUBTFUL else known, own, with_past=True)
 
 
-def _of(estimate: MountingEstimate, evidence: TripEvidence, noise: Noise) -> MountingEstimate:
-    """A trip's estimate with mounting, covariance and status those of the evidence."""
+_REFUSED = frozenset({"wrong_unit", "no_gravity", "dead_accelerometer", "mirrored"})
+
+
+def _doubted(estimate: MountingEstimate) -> MountingEstimate:
+    """The estimate with the word that something does not fit."""
+    told = estimate.reasons if any(each.code == "mismatch" for each in estimate.reasons) else ()
+    return replace(
+        estimate,
+        status="settling",
+        progress=min(estimate.progress, 0.99),
+        reasons=told or (reason("contradiction"), *estimate.reasons),
+    )
+
+
+def _of(
+    estimate: MountingEstimate, evidence: TripEvidence, noise: Noise, apart: Floats | None = None
+) -> MountingEstimate:
+    """A trip's estimate with mounting, covariance and status those of the evidence; `apart` widens it."""
     R_va, covariance = solved(evidence, noise)
     covariance[0, 0] += noise.crown**2
-    sure = bool(np.sqrt(np.diag(covariance)).max() < CONVERGED)
+    if apart is not None:
+        covariance = covariance + np.outer(apart, apart)
+    codes = {each.code for each in estimate.reasons}
+    right_handed = evidence.handed >= HANDED or "handedness_trusted" in codes
+    sure = right_handed and bool(np.sqrt(np.diag(covariance)).max() < CONVERGED)
     return replace(
         estimate,
         status="ready" if sure else "settling",

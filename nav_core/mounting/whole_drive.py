@@ -39,10 +39,12 @@ LOOSE = Verdict("not_fixed", 0.0, False, (reason("loose"),))
 
 
 class Analysis(NamedTuple):
-    """An estimate and the fit behind it, which there is when the mounting is known."""
+    """An estimate, the fit behind it, which there is when the mounting is known, and what speaks for its hand."""
 
     estimate: MountingEstimate
     fit: Fit | None
+    handed: float = 0.0
+    """Twice the log of likelihoods in favour of right-handed axes; see `trouble.handedness`."""
 
 
 def estimate(ticks: Ticks, gnss: Gnss, *, noise: Noise | None = None) -> MountingEstimate:
@@ -84,7 +86,7 @@ def analyse(ticks: Ticks, gnss: Gnss, *, noise: Noise | None = None) -> Analysis
     bends = excitation(last.record).across > BENDS
     handed = handedness(last.record, last.solution, noise) if bends else 0.0
     if handed < -MIRRORED:
-        return Analysis(_without(refusal(reason("mirrored")), remarks=remarks), None)
+        return Analysis(_without(refusal(reason("mirrored")), remarks=remarks), None, handed)
     if loosely_held(len(pieces) - 1, record) or _loose(pieces):
         return Analysis(_without(LOOSE, remarks=remarks), None)
     changes = _changes(pieces, found_blows)
@@ -120,7 +122,12 @@ def analyse(ticks: Ticks, gnss: Gnss, *, noise: Noise | None = None) -> Analysis
         changes=changes,
         reasons=(*verdict.reasons, *remarks),
     )
-    return Analysis(known, fit)
+    return Analysis(known, fit, handed)
+
+
+def refused(why: Reason) -> MountingEstimate:
+    """No mounting, and why."""
+    return _without(refusal(why))
 
 
 def _loose(pieces: list[Piece]) -> bool:

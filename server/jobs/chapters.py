@@ -1,8 +1,9 @@
 """What an installation's older data said of its mounting, kept as evidence instead of being read again.
 
 An estimate reads the data since the last chapter and adds the chapters' evidence.  Once the open
-stretch is long enough it becomes a chapter itself.  Old chapters are joined to one; data that come
-so late that they belong before it stay out of the estimates until a re-run (`scatola reprocess`).
+stretch is long enough it becomes a chapter itself.  Late data reopen the newest chapters, as far as
+what has to be read again fits an estimate's window; older chapters are joined to one and stay closed,
+and what comes late for them is kept but stays out of the estimates.
 """
 
 from __future__ import annotations
@@ -15,12 +16,19 @@ from typing import Any
 import numpy as np
 
 from nav_core.mounting.fusion import TripEvidence, joined
+from nav_core.mounting.model import UNKNOWNS
 
 CHAPTER_S = 1800.0
 """Length of data that closes a chapter."""
 
-APART = 8
+SILENT_S = 3600.0
+"""The same for data that have nothing to say."""
+
+APART = 3
 """Chapters kept apart, so that late data reopen only the newest."""
+
+REOPENED_S = 5400.0
+"""At most this much data is read again."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +37,10 @@ class Chapter:
 
     since_s: float
     until_s: float
-    evidence: TripEvidence
+    length_s: float
+    """Of the data."""
+    evidence: TripEvidence | None
+    """None where they had nothing to say, as those of a vehicle that stands."""
     input_sha256: str
 
 
@@ -47,17 +58,20 @@ def written(chapters: Sequence[Chapter], algorithm: str) -> list[dict[str, Any]]
 
 
 def reopened(chapters: Sequence[Chapter], since_s: float) -> list[Chapter]:
-    """The chapters that data from this UTC on leave closed.
-
-    Data older than all of them reopen nothing where the first holds several: its data would not fit one estimate.
-    """
-    kept = [chapter for chapter in chapters if chapter.until_s <= since_s]
-    return kept or [chapter for chapter in chapters[:1] if chapter.evidence.trips > 1]
+    """The chapters that data from this UTC on leave closed: all of them where it comes too late."""
+    closed = [chapter for chapter in chapters if chapter.until_s <= since_s]
+    again = chapters[len(closed) :]
+    several = any(chapter.evidence is not None and chapter.evidence.trips > 1 for chapter in again)
+    before_all = not closed and bool(again) and since_s < again[0].since_s
+    if several or before_all or sum(chapter.length_s for chapter in again) > REOPENED_S:
+        return list(chapters)
+    return closed
 
 
 def past(chapters: Sequence[Chapter]) -> TripEvidence | None:
     """The evidence of all of them."""
-    return joined([chapter.evidence for chapter in chapters]) if chapters else None
+    told = [chapter.evidence for chapter in chapters if chapter.evidence is not None]
+    return joined(told) if told else None
 
 
 def input_of(chapters: Sequence[Chapter], stretch_sha256: str) -> str:
@@ -68,34 +82,53 @@ def input_of(chapters: Sequence[Chapter], stretch_sha256: str) -> str:
 
 
 def _joined(first: Chapter, second: Chapter) -> Chapter:
-    evidence = joined([first.evidence, second.evidence])
-    return Chapter(first.since_s, second.until_s, evidence, input_of([first], second.input_sha256))
+    length_s = first.length_s + second.length_s
+    input_sha256 = input_of([first], second.input_sha256)
+    return Chapter(first.since_s, second.until_s, length_s, past([first, second]), input_sha256)
 
 
-_LOWER = np.tril_indices(14)
+_LOWER = np.tril_indices(1 + UNKNOWNS)
 
 
 def _to_json(chapter: Chapter, algorithm: str) -> dict[str, Any]:
-    evidence = chapter.evidence
     return {
         "algorithm": algorithm,
         "since_s": chapter.since_s,
         "until_s": chapter.until_s,
+        "length_s": chapter.length_s,
         "input_sha256": chapter.input_sha256,
+        "evidence": None if chapter.evidence is None else _evidence_to_json(chapter.evidence),
+    }
+
+
+def _evidence_to_json(evidence: TripEvidence) -> dict[str, Any]:
+    return {
         "R_va": evidence.R_va.tolist(),
         "lags_s": [evidence.speed_lag, evidence.course_lag],
         "gram": evidence.gram[_LOWER].tolist(),
         "duration_s": evidence.duration,
         "trips": evidence.trips,
+        "handed": evidence.handed,
     }
 
 
 def _from_json(entry: dict[str, Any]) -> Chapter:
-    gram = np.zeros((14, 14))
-    gram[_LOWER] = entry["gram"]
+    told = entry["evidence"]
+    evidence = None if told is None else _evidence_from_json(told)
+    return Chapter(entry["since_s"], entry["until_s"], entry["length_s"], evidence, entry["input_sha256"])
+
+
+def _evidence_from_json(told: dict[str, Any]) -> TripEvidence:
+    gram = np.zeros((1 + UNKNOWNS, 1 + UNKNOWNS))
+    gram[_LOWER] = told["gram"]
     gram += np.tril(gram, -1).T
-    speed_lag, course_lag = entry["lags_s"]
-    evidence = TripEvidence(
-        np.array(entry["R_va"]), speed_lag, course_lag, gram, entry["duration_s"], int(entry["trips"])
+    speed_lag, course_lag = told["lags_s"]
+    return TripEvidence(
+        np.array(told["R_va"]),
+        speed_lag,
+        course_lag,
+        gram,
+        told["duration_s"],
+        int(told["trips"]),
+        told["handed"],
     )
-    return Chapter(entry["since_s"], entry["until_s"], evidence, entry["input_sha256"])

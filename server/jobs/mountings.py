@@ -9,7 +9,7 @@ estimate always rests on all data, in whatever order it came.
 from __future__ import annotations
 
 import datetime as dt
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -25,7 +25,7 @@ from server.installations.result import mount_json
 from server.jobs import chapters as chapter
 from server.jobs.results import Results
 from server.jobs.situation import Situation
-from server.jobs.stretch import Piece, Stretch, assemble, newest
+from server.jobs.stretch import Piece, Stretch, assemble, in_windows
 from server.models import Assignment, Installation, MountingRevision, new_id
 
 Estimator = Callable[[Ticks, Gnss, TripEvidence | None, Noise], Told]
@@ -156,7 +156,8 @@ class Mountings:
             until -= MOVE_GUARD_S
         return since, until
 
-    def _stretch(self, row: Installation) -> Stretch | None:
+    def _stretches(self, row: Installation) -> Iterator[tuple[Stretch, bool]]:
+        """The row's data since its last chapter, a window at a time, and whether more follows."""
         since, until = self._bounds(row)
         since = max([since, *(known.until_s for known in chapter.read(row.evidence, ALGORITHM))])
         boots = self._situation.boots
@@ -165,14 +166,17 @@ class Mountings:
             for piece in self._new
             if boots[piece.boot].unix_s(piece.t_last_s) > since and boots[piece.boot].unix_s(piece.t_first_s) < until
         ]
-        pieces = newest([*self._sources.pieces(since, until), *inside], boots)
-        return assemble(pieces, boots).between(since, until) if pieces else None
+        for pieces, more in in_windows([*self._sources.pieces(since, until), *inside], boots):
+            yield assemble(pieces, boots).between(since, until), more
 
     def _estimate(self, row: Installation) -> None:
-        stretch = self._stretch(row)
-        if stretch is None:
-            row.unestimated_s = row.unestimated_moving_s = 0.0
-            return
+        row.unestimated_s = row.unestimated_moving_s = 0.0
+        for stretch, more in self._stretches(row):
+            if not self._take(row, stretch, more=more):
+                return
+
+    def _take(self, row: Installation, stretch: Stretch, *, more: bool) -> bool:
+        """Estimate with one window of a row's data; whether what follows it is still the row's."""
         told = self._run(row, stretch)
         estimate = None if told is None else told.estimate
         moves = [] if estimate is None else [(stretch.unix_s(c.t), c.angle) for c in estimate.changes]
@@ -181,15 +185,18 @@ class Mountings:
             stretch = stretch.between(*self._bounds(row))
             told = self._run(row, stretch)
         if not moves:
-            self._record(row, told, stretch)
-            return
+            self._record(row, told, stretch, closing=more)
+            return True
         parts = [row, *(self._moved(row, unix, angle) for unix, angle in moves)]
         for earlier, later in pairwise(parts):
             later.ended_at = earlier.ended_at
             earlier.ended_at = later.began_at
-        for part in parts:
+        for part in parts[:-1] if more else parts:
             own = stretch.between(*self._bounds(part))
             self._record(part, self._run(part, own), own, keep_ready=part is row)
+        if more:
+            self._estimate(parts[-1])  # from the move on, this window's rest included
+        return False
 
     def _moved(self, row: Installation, unix_s: float, angle: float) -> Installation:
         moved = self._add("moved", _utc(unix_s), row.vehicle_id)
@@ -211,12 +218,20 @@ class Mountings:
         side = self._situation.traffic_sides.get(row.vehicle_id or "")
         try:
             return self._estimator(stretch.ticks, stretch.gnss, past, roads_of(side))
-        except (ValueError, ArithmeticError):
-            # Typed errors of nav_core and of linear algebra: bad data must not keep the batches from being worked off.
+        except Exception:
+            # Whatever bad data make of an estimator must not keep the batches from being worked off.
             log.exception("estimate failed", device_id=self._situation.device.id, input_sha256=stretch.input_sha256)
             return None
 
-    def _record(self, row: Installation, told: Told | None, stretch: Stretch, *, keep_ready: bool = False) -> None:
+    def _record(
+        self,
+        row: Installation,
+        told: Told | None,
+        stretch: Stretch,
+        *,
+        keep_ready: bool = False,
+        closing: bool = False,
+    ) -> None:
         row.unestimated_s = row.unestimated_moving_s = 0.0
         self._results.put(row)
         if told is None:
@@ -224,7 +239,9 @@ class Mountings:
         self._results.estimates += 1
         estimate = told.estimate
         result = mount_json(estimate)
-        input_sha256 = self._close_chapter(row, told.own, stretch)
+        if not told.with_past:
+            row.evidence = []
+        input_sha256 = self._close_chapter(row, told.own, stretch, closing=closing)
         self._revise(row, result, estimate.progress, stretch, input_sha256)
         if row.beginning == "manual":
             return  # said by somebody who looked; the estimate stands beside it as a revision
@@ -237,13 +254,19 @@ class Mountings:
             "installation", row.vehicle_id, installation_id=row.id, status=row.status, percent=result["percent"]
         )
 
-    def _close_chapter(self, row: Installation, own: TripEvidence | None, stretch: Stretch) -> str:
-        """Keep a stretch that is long enough as evidence; gives the hash of all data behind the estimate."""
+    def _close_chapter(
+        self, row: Installation, own: TripEvidence | None, stretch: Stretch, *, closing: bool = False
+    ) -> str:
+        """Keep a stretch that is long enough as evidence; gives the hash of all data behind the estimate.
+
+        One that has nothing to say stays open for longer, in case what follows makes it speak.
+        """
         known = chapter.read(row.evidence, ALGORITHM)
         input_sha256 = chapter.input_of(known, stretch.input_sha256)
-        if own is not None and stretch.length_s >= chapter.CHAPTER_S:
+        length_s = stretch.length_s
+        if closing or length_s >= (chapter.SILENT_S if own is None else chapter.CHAPTER_S):
             begin = known[-1].until_s if known else stretch.unix_s(float(stretch.ticks.t[0]))
-            known.append(chapter.Chapter(begin, stretch.end_unix_s, own, stretch.input_sha256))
+            known.append(chapter.Chapter(begin, stretch.end_unix_s, length_s, own, stretch.input_sha256))
             row.evidence = chapter.written(known, ALGORITHM)
         return input_sha256
 

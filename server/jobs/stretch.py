@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from hashlib import sha256
 
@@ -22,7 +22,7 @@ from server.jobs.digest import Digest, join_gnss
 from server.models import Boot
 
 WINDOW_S = 7200.0
-"""An estimate uses at most this much data, the newest."""
+"""An estimate reads at most this much data; what is older has become a chapter."""
 
 PAUSE_S = (60.0, 600.0)
 """Between boots the axis has the true pause within these bounds; a longer one within a boot is cut to the second."""
@@ -79,16 +79,17 @@ class Stretch:
         return self.end_unix_s
 
     def between(self, since_s: float, until_s: float) -> Stretch:
-        """The part from one UTC to another, same axis."""
-        ranges = np.array(
-            [
-                (
-                    max(s.boot.box_s(since_s), s.t_first_s) + s.shift_s,
-                    min(s.boot.box_s(until_s), s.t_last_s) + s.shift_s,
-                )
-                for s in self.segments
-            ]
-        )
+        """The part from one UTC to another, same axis; runs outside of it are gone."""
+        cut = [
+            replace(
+                run,
+                t_first_s=max(run.boot.box_s(since_s), run.t_first_s),
+                t_last_s=min(run.boot.box_s(until_s), run.t_last_s),
+            )
+            for run in self.segments
+        ]
+        segments = tuple(run for run in cut if run.t_first_s <= run.t_last_s)
+        ranges = np.array([(run.t_first_s + run.shift_s, run.t_last_s + run.shift_s) for run in segments])
         # What lies on the edge of a run belongs to it; rounding of the shift must not lose it.
         margin = 0.01 / TICK_RATE
         keep_ticks = _inside(self.ticks.t, ranges, margin)
@@ -96,19 +97,26 @@ class Stretch:
             self,
             ticks=_chosen(self.ticks, keep_ticks),
             gnss=_select(self.gnss, _inside(self.gnss.t, ranges, margin)),
+            segments=segments,
         )
 
 
-def newest(pieces: Sequence[Piece], boots: Mapping[str, Boot], window_s: float = WINDOW_S) -> list[Piece]:
-    """The newest pieces that make up the window, in the order of time."""
+def in_windows(
+    pieces: Sequence[Piece], boots: Mapping[str, Boot], window_s: float = WINDOW_S
+) -> Iterator[tuple[list[Piece], bool]]:
+    """The pieces in the order of time, at most a window's length at once, and whether more follow."""
+    order = sorted(pieces, key=lambda piece: (_start(boots[piece.boot]), piece.sequence))
     kept: list[Piece] = []
     length = 0.0
-    for piece in sorted(pieces, key=lambda piece: (_start(boots[piece.boot]), piece.sequence), reverse=True):
-        if length >= window_s:
-            break
+    for piece in order:
+        own = piece.t_last_s - piece.t_first_s
+        if kept and length + own > window_s:
+            yield kept, True
+            kept, length = [], 0.0
         kept.append(piece)
-        length += piece.t_last_s - piece.t_first_s
-    return kept[::-1]
+        length += own
+    if kept:
+        yield kept, False
 
 
 def assemble(pieces: Sequence[Piece], boots: Mapping[str, Boot]) -> Stretch:
@@ -159,6 +167,8 @@ def _steps(before: Segment | None, boot: Boot, first_s: float) -> int:
 
 def _inside(t: Floats, ranges: Floats, margin: float) -> Flags:
     """Which times lie in one of the ranges, which are in order and apart."""
+    if ranges.size == 0:
+        return np.zeros(t.size, dtype=np.bool_)
     k = np.searchsorted(ranges[:, 0] - margin, t, side="right") - 1
     known = k >= 0
     return known & (t < ranges[np.maximum(k, 0), 1] + margin)

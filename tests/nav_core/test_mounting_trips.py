@@ -11,6 +11,7 @@ from nav_core.mounting import estimate_mounting
 from nav_core.mounting.fusion import joined
 from nav_core.mounting.model import Noise, roads_of
 from nav_core.mounting.trips import Told, told_of
+from nav_core.records import Inertial
 from nav_core.rotation import angle_between, error_between
 from nav_core.signal import decimate
 from nav_core.simulate import Scenario, random_rotation, simulate
@@ -59,6 +60,46 @@ def test_a_box_turned_between_trips_begins_anew(past, axis):
     assert np.degrees(change.angle) == pytest.approx(8.0, abs=1.5)
     assert np.degrees(angle_between(told.estimate.R_va, moved)) < 2.0
     assert np.degrees(angle_between(change.before, R_VA)) < 1.5
+
+
+@pytest.mark.parametrize("scale", [1.0 / 9.80665, 0.0, -1.0])
+def test_refused_data_stay_refused_whatever_was_known(past, scale):
+    """In g, dead, and inverted: the past cannot make them right."""
+    drive, _ = simulate(CITY, seed=7)
+    ticks = decimate(Inertial(drive.inertial.t, scale * drive.inertial.f))
+    told = told_of(ticks, drive.gnss, past, Noise())
+    assert told.estimate.status == "insufficient"
+    assert told.estimate.R_va is None
+    assert told.own is None
+    assert told.with_past == (scale >= 0.0)
+
+
+def test_a_past_that_was_read_left_handed_is_dropped_with_the_first_bends():
+    """An inverted box on a straight road cannot be told; in town it is, and what was believed goes."""
+    drive, _ = simulate(replace(CITY, route="straight"), seed=8)
+    inverted = decimate(Inertial(drive.inertial.t, -drive.inertial.f))
+    straight = told_of(inverted, drive.gnss, None, Noise())
+    drive, _ = simulate(CITY, seed=9)
+    inverted = decimate(Inertial(drive.inertial.t, -drive.inertial.f))
+    town = told_of(inverted, drive.gnss, straight.own, Noise())
+    assert town.estimate.status == "insufficient"
+    assert not town.with_past
+
+
+def test_a_box_nudged_by_a_little_is_believed_in_the_end(past):
+    """Too little for a move: the disagreement is said, stated in sigma, and outlived."""
+    from scipy.spatial.transform import Rotation
+
+    nudged = Rotation.from_rotvec([0.0, np.radians(2.5), 0.0]).as_matrix() @ R_VA
+    evidence, statuses = past, []
+    for seed in range(20, 28):
+        told = _trip(replace(CITY, R_va=nudged), seed, evidence)
+        statuses.append(told.estimate.status)
+        error = np.abs(error_between(told.estimate.R_va, nudged))
+        assert np.all(error < 3.0 * told.estimate.sigma + np.radians(0.1))
+        evidence = joined([evidence, told.own]) if told.with_past else told.own
+    assert statuses[0] == "settling" or told.estimate.changes == ()
+    assert statuses[-1] == "ready"
 
 
 def test_the_side_of_the_traffic_tells_the_roads_bank():

@@ -35,7 +35,7 @@ def _evidence(number: int) -> TripEvidence:
 
 
 def _chapters(count: int) -> list[Chapter]:
-    return [Chapter(100.0 * k, 100.0 * (k + 1), _evidence(k), f"{k:064x}") for k in range(count)]
+    return [Chapter(1e4 * k, 1e4 * (k + 1), 1800.0, _evidence(k), f"{k:064x}") for k in range(count)]
 
 
 def test_chapters_survive_the_row_to_the_last_bit():
@@ -52,18 +52,34 @@ def test_old_chapters_are_joined_and_nothing_is_lost():
     back = chapters.read(chapters.written(many, "a/1"), "a/1")
     assert len(back) == APART + 1
     assert back[0].evidence.trips == 5
-    assert (back[0].since_s, back[0].until_s) == (0.0, 500.0)
+    assert (back[0].since_s, back[0].until_s, back[0].length_s) == (0.0, 5e4, 9000.0)
     one, other = chapters.past(many), chapters.past(back)
     assert one is not None
     assert other is not None
     np.testing.assert_allclose(solved(one, Noise())[1], solved(other, Noise())[1], rtol=1e-9)
 
 
-def test_late_data_reopen_the_newest_chapters_only():
+def test_late_data_reopen_the_newest_chapters_as_far_as_they_can_be_read_again():
     back = chapters.read(chapters.written(_chapters(APART + 5), "a/1"), "a/1")
+    assert chapters.reopened(back, back[-1].until_s) == back
     assert chapters.reopened(back, back[-2].until_s) == back[:-1]
-    assert chapters.reopened(back, 250.0) == back[:1]  # five joined ones stay closed
-    assert chapters.reopened(_chapters(3), 50.0) == []
+    assert chapters.reopened(back, back[1].since_s) == back[:1]
+    assert chapters.reopened(back, back[0].until_s - 1.0) == back  # several trips in one: too late
+    assert chapters.reopened(back, -100.0) == back
+    long = [replace(chapter, length_s=3600.0) for chapter in back]
+    assert chapters.reopened(long, long[-2].since_s) == long  # more than fits an estimate
+    assert chapters.reopened(long, long[-1].since_s) == long[:-1]
+
+
+def test_a_silent_chapter_takes_nothing_away():
+    told = _chapters(2)
+    silent = replace(told[1], evidence=None)
+    back = chapters.read(chapters.written([told[0], silent], "a/1"), "a/1")
+    assert back[1].evidence is None
+    past = chapters.past(back)
+    assert past is not None
+    np.testing.assert_array_equal(past.gram, told[0].evidence.gram)
+    assert chapters.past([silent]) is None
 
 
 def _drive(world: World, clock, seed: int, boot: str) -> None:
@@ -118,3 +134,44 @@ def test_the_vehicles_side_of_the_road_reaches_the_estimator(world, clock, organ
     world.bring_up()
     assert sides
     assert sides[0] < 0.0
+
+
+def test_a_backlog_is_taken_in_whole_window_by_window(world):
+    spans: list[float] = []
+
+    def counted(ticks, gnss, past, noise):
+        spans.append(ticks.index.size / ticks.rate)
+        return told_of(ticks, gnss, past, noise)
+
+    world.estimator = counted
+    drive, _ = simulate(replace(LONG, duration=9600.0, accel_rate=10.0), seed=4)
+    for k, batch in enumerate(cut(drive, seconds=300.0)):
+        world.put(batch, k)
+    assert world.bring_up().batches == 32
+    assert sum(spans) == pytest.approx(9600.0, abs=5.0)
+    row = world.one(Installation)
+    with world.database.reading() as session:
+        kept = chapters.read(session.get_one(Installation, row.id).evidence, row.algorithm)
+    assert sum(chapter.length_s for chapter in kept) == pytest.approx(9600.0, abs=5.0)
+
+
+def test_what_follows_a_move_after_long_pauses_is_all_there():
+    """Six boots eight hours apart: the part from the sixth on has the sixth's data, and no other."""
+    from server.jobs.digest import digest_drive
+    from server.jobs.stretch import Piece, assemble
+    from server.models import Boot
+
+    boots, pieces = {}, []
+    for k in range(6):
+        drive, _ = simulate(replace(LONG, duration=300.0), seed=k)
+        boots[f"b{k}"] = Boot(
+            boot=f"b{k}", ordinal=k, utc_offset_s=28_800.0 * k, utc_drift=0.0, t_first_s=0.0, t_last_s=300.0
+        )
+        pieces.append(Piece(f"b{k}", 0, 0.0, 300.0, f"{k:064x}", digest_drive(drive)))
+    stretch = assemble(pieces, boots)
+    part = stretch.between(28_800.0 * 5 + 10.0, np.inf)
+    assert part.length_s == pytest.approx(290.0, abs=0.5)
+    assert part.gnss.t.size == pytest.approx(290, abs=2)
+    before = stretch.between(-np.inf, 28_800.0 * 3 - 100.0)
+    assert before.length_s == pytest.approx(900.0, abs=2.0)
+    assert before.end_unix_s == pytest.approx(28_800.0 * 2 + 300.0, abs=1.0)
