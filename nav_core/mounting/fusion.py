@@ -9,7 +9,7 @@ car come anew in part, and that part is summed out before a trip joins the other
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -86,6 +86,11 @@ def trip_evidence(fit: Fit, handed: float = 0.0) -> TripEvidence:
     again[TURN], again[BIAS], again[[SPEED_LAG, COURSE_LAG]] = TURN_AGAIN, BIAS_AGAIN, LAG_AGAIN
     duration = BLOCK * len(fit.gram)
     return TripEvidence(fit.R_va, fit.speed_lag, fit.course_lag, _without_own(gram, again), duration, handed=handed)
+
+
+def weakened(evidence: TripEvidence, share: float) -> TripEvidence:
+    """The same with only a share of its weight, for what may no longer hold."""
+    return replace(evidence, gram=share * evidence.gram, handed=share * evidence.handed)
 
 
 def joined(trips: Sequence[TripEvidence]) -> TripEvidence:

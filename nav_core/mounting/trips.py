@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from nav_core.mounting.confidence import CONVERGED, observability
-from nav_core.mounting.fusion import TripEvidence, disagreement, joined, solved, trip_evidence
+from nav_core.mounting.fusion import TripEvidence, disagreement, joined, solved, trip_evidence, weakened
 from nav_core.mounting.model import Noise, less_crown
 from nav_core.mounting.moved import LEAST_ANGLE, SURE
 from nav_core.mounting.quality import reason
@@ -26,6 +26,10 @@ UNREMARKABLE = 6.25
 """Nine in ten trips of an untouched box stay under this; what is beyond widens the covariance."""
 
 
+FADED = 0.3
+"""Share of its weight that the past keeps after a contradiction: the newer data are believed in the end."""
+
+
 class Told(NamedTuple):
     """What is known after a trip."""
 
@@ -33,8 +37,8 @@ class Told(NamedTuple):
     """Of all trips together."""
     own: TripEvidence | None
     """What this trip adds; None where it cannot say anything."""
-    with_past: bool
-    """Whether the trips before still count: not after the box was moved."""
+    past_share: float
+    """How much the trips before still count: nothing after the box was moved, less after a contradiction."""
 
 
 def told_of(ticks: Ticks, gnss: Gnss, past: TripEvidence | None, noise: Noise) -> Told:
@@ -58,7 +62,8 @@ def told_of(ticks: Ticks, gnss: Gnss, past: TripEvidence | None, noise: Noise) -
     A trip that contradicts the past beyond doubt, and is itself sure, was driven with a box that had
     been moved before: the change stands at its beginning and the past is dropped.  One that
     contradicts it less clearly, or by too little to be called a move, is joined with it all the same,
-    and the more unlikely the disagreement is, the more of it is part of the stated covariance.  Data that are refused stay refused, whatever
+    and the more unlikely the disagreement is, the more of it is part of the stated covariance; after a
+    contradiction the past counts for less.  Data that are refused stay refused, whatever
     was known before; where they show that the axes are left-handed, the past was read wrongly as well.
     """
     estimate, fit, handed = analyse(ticks, gnss, noise=noise)
@@ -66,20 +71,21 @@ def told_of(ticks: Ticks, gnss: Gnss, past: TripEvidence | None, noise: Noise) -
     codes = {each.code for each in estimate.reasons}
     if past is None or estimate.changes or estimate.status == "not_fixed" or codes & _REFUSED:
         keeps = past is not None and not estimate.changes and "mirrored" not in codes
-        return Told(estimate, own, with_past=keeps)
+        return Told(estimate, own, float(keeps))
     if past.handed + handed < -MIRRORED:
-        return Told(refused(reason("mirrored")), None, with_past=False)
+        return Told(refused(reason("mirrored")), None, 0.0)
     if own is None or fit is None:
         known = _of(estimate, past, noise)
-        return Told(known if "mismatch" not in codes else _doubted(known), None, with_past=True)
+        return Told(known if "mismatch" not in codes else _doubted(known), None, 1.0)
     chi2, apart = disagreement(past, own, noise)
     angle = float(np.linalg.norm(apart))
     if chi2 > SURE and angle > LEAST_ANGLE and estimate.status == "ready":
         change = MountingChange(fit.begin, angle, solved(past, noise)[0], fit.R_va)
-        return Told(replace(estimate, changes=(change,)), own, with_past=False)
+        return Told(replace(estimate, changes=(change,)), own, 0.0)
     unlikely = max(1.0 - UNREMARKABLE / max(chi2, 1e-9), 0.0)
-    known = _of(estimate, joined([past, own]), noise, np.sqrt(unlikely) * apart)
-    return Told(_doubted(known) if chi2 > DOUBTFUL else known, own, with_past=True)
+    share = FADED if chi2 > DOUBTFUL else 1.0
+    known = _of(estimate, joined([weakened(past, share), own]), noise, np.sqrt(unlikely) * apart)
+    return Told(known if share == 1.0 else _doubted(known), own, share)
 
 
 _REFUSED = frozenset({"wrong_unit", "no_gravity", "dead_accelerometer", "mirrored"})

@@ -9,13 +9,13 @@ and what comes late for them is kept but stays out of the estimates.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from hashlib import sha256
 from typing import Any
 
 import numpy as np
 
-from nav_core.mounting.fusion import TripEvidence, joined
+from nav_core.mounting.fusion import TripEvidence, joined, weakened
 from nav_core.mounting.model import UNKNOWNS
 
 CHAPTER_S = 1800.0
@@ -72,6 +72,16 @@ def past(chapters: Sequence[Chapter]) -> TripEvidence | None:
     """The evidence of all of them."""
     told = [chapter.evidence for chapter in chapters if chapter.evidence is not None]
     return joined(told) if told else None
+
+
+def faded(chapters: Sequence[Chapter], share: float) -> list[Chapter]:
+    """The chapters with a share of their weight; without any they are silent, but what they cover stays read."""
+    if share == 0.0:
+        return [replace(chapter, evidence=None) for chapter in chapters]
+    return [
+        chapter if chapter.evidence is None else replace(chapter, evidence=weakened(chapter.evidence, share))
+        for chapter in chapters
+    ]
 
 
 def input_of(chapters: Sequence[Chapter], stretch_sha256: str) -> str:

@@ -239,8 +239,10 @@ class Mountings:
         self._results.estimates += 1
         estimate = told.estimate
         result = mount_json(estimate)
-        if not told.with_past:
-            row.evidence = []
+        if told.past_share < 1.0:
+            row.evidence = chapter.written(
+                chapter.faded(chapter.read(row.evidence, ALGORITHM), told.past_share), ALGORITHM
+            )
         input_sha256 = self._close_chapter(row, told.own, stretch, closing=closing)
         self._revise(row, result, estimate.progress, stretch, input_sha256)
         if row.beginning == "manual":

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from nav_core.mounting import estimate_mounting
-from nav_core.mounting.fusion import joined
+from nav_core.mounting.fusion import joined, weakened
 from nav_core.mounting.model import Noise, roads_of
 from nav_core.mounting.trips import Told, told_of
 from nav_core.records import Inertial
@@ -32,7 +32,7 @@ def past():
 
 def test_a_trip_sharpens_the_past_and_is_sharpened_by_it(past):
     alone, both = _trip(CITY, 4), _trip(CITY, 4, past)
-    assert both.with_past
+    assert both.past_share == 1.0
     assert both.estimate.status == "ready"
     assert both.estimate.sigma[2] < 0.8 * alone.estimate.sigma[2]
     assert abs(error_between(both.estimate.R_va, R_VA)[2]) < 3.0 * both.estimate.sigma[2]
@@ -54,7 +54,7 @@ def test_a_box_turned_between_trips_begins_anew(past, axis):
 
     moved = Rotation.from_rotvec(turn).as_matrix() @ R_VA
     told = _trip(replace(CITY, R_va=moved), 6, past)
-    assert not told.with_past
+    assert told.past_share == 0.0
     (change,) = told.estimate.changes
     assert change.t < 20.0
     assert np.degrees(change.angle) == pytest.approx(8.0, abs=1.5)
@@ -71,7 +71,7 @@ def test_refused_data_stay_refused_whatever_was_known(past, scale):
     assert told.estimate.status == "insufficient"
     assert told.estimate.R_va is None
     assert told.own is None
-    assert told.with_past == (scale >= 0.0)
+    assert told.past_share == float(scale >= 0.0)
 
 
 def test_a_past_that_was_read_left_handed_is_dropped_with_the_first_bends():
@@ -83,7 +83,7 @@ def test_a_past_that_was_read_left_handed_is_dropped_with_the_first_bends():
     inverted = decimate(Inertial(drive.inertial.t, -drive.inertial.f))
     town = told_of(inverted, drive.gnss, straight.own, Noise())
     assert town.estimate.status == "insufficient"
-    assert not town.with_past
+    assert town.past_share == 0.0
 
 
 def test_a_box_nudged_by_a_little_is_believed_in_the_end(past):
@@ -97,8 +97,8 @@ def test_a_box_nudged_by_a_little_is_believed_in_the_end(past):
         statuses.append(told.estimate.status)
         error = np.abs(error_between(told.estimate.R_va, nudged))
         assert np.all(error < 3.0 * told.estimate.sigma + np.radians(0.1))
-        evidence = joined([evidence, told.own]) if told.with_past else told.own
-    assert statuses[0] == "settling" or told.estimate.changes == ()
+        evidence = joined([weakened(evidence, told.past_share), told.own])
+    assert statuses[0] == "settling"
     assert statuses[-1] == "ready"
 
 

@@ -98,7 +98,7 @@ def nothing_happened(*_, **__):
 
 def gravity_estimator(ticks, gnss, _past, _noise) -> Told:
     """`by_gravity`, of one stretch at a time."""
-    return Told(by_gravity(ticks, gnss), None, with_past=False)
+    return Told(by_gravity(ticks, gnss), None, 1.0)
 
 
 def by_gravity(ticks, gnss) -> MountingEstimate:
