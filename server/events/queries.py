@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import zstandard
-from sqlalchemy import select, tuple_
+from sqlalchemy import Select, select, tuple_
 from sqlalchemy.orm import Session
 
 from server.errors import NotFoundError
@@ -17,8 +17,7 @@ from server.models import Batch, ChainSeal, Event, EventAction, EventInput, Even
 MAX_DOCUMENT_BYTES = 256 * 1024 * 1024
 
 
-def events(
-    session: Session,
+def selection(
     organisation_id: str,
     *,
     device_id: str | None = None,
@@ -29,7 +28,7 @@ def events(
     until: dt.datetime | None = None,
     before: tuple[dt.datetime, str] | None = None,
     limit: int,
-) -> Sequence[Event]:
+) -> Select[Event]:
     """Events that were not withdrawn, the newest first, from after `before` in that order."""
     query = select(Event).where(Event.organisation_id == organisation_id, Event.withdrawn_at.is_(None))
     for column, wanted in ((Event.device_id, device_id), (Event.vehicle_id, vehicle_id), (Event.severe, severe)):
@@ -43,7 +42,12 @@ def events(
         query = query.where(Event.at < until)
     if before is not None:
         query = query.where(tuple_(Event.at, Event.id) < before)
-    return session.scalars(query.order_by(Event.at.desc(), Event.id.desc()).limit(limit)).all()
+    return query.order_by(Event.at.desc(), Event.id.desc()).limit(limit)
+
+
+def events(session: Session, organisation_id: str, **wanted: Any) -> Sequence[Event]:
+    """The rows of a `selection`."""
+    return session.scalars(selection(organisation_id, **wanted)).all()
 
 
 def event_of(session: Session, organisation_id: str, event_id: str, *, lock: bool = False) -> Event:

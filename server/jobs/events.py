@@ -44,8 +44,8 @@ SAME_S = 1.5
 """Two time zeros closer than this are one event seen twice."""
 STRETCH_S = 600.0
 """Longest stretch that is looked at in one piece: bounds memory."""
-BEFORE_IMPACT_S = 10.0
-"""The mounting of an event is the one that held this long before it: an impact may turn the box."""
+AFTER_MOVE_S = 10.0
+"""An event this soon after a move has the mounting before it: the impact itself may have turned the box."""
 
 _MOUNTING_KEYS = ("status", "method", "R_va", "sigma_deg", "stable", "reliable", "gps_lag_s")
 
@@ -144,9 +144,12 @@ class Events:
             row = _same(open_rows, each.event)
             if row is not None:
                 open_rows.remove(row)
-            if each.event.severe:
-                each = self._refined(boot, each.event.t0, each.event.t_end) or each  # noqa: PLW2901
-            self._store(boot, row, each)
+            if row is not None and row.severe:
+                self._revise(row, each)
+            elif each.event.severe:
+                self._store(boot, row, self._refined(boot, each.event.t0, each.event.t_end) or each)
+            else:
+                self._store(boot, row, each)
         for row in open_rows:
             if row.severe:
                 self._revise(row)
@@ -166,14 +169,14 @@ class Events:
 
     def _spans(self, boot: Boot, since_s: float, until_s: float) -> list[tuple[float, float, Installation | None]]:
         """A span of the box's clock cut where the mounting changes."""
-        edges = [boot.box_s(row.began_at.timestamp()) + BEFORE_IMPACT_S for row in self._installations[1:]]
+        edges = [boot.box_s(_holds_from(row)) for row in self._installations[1:]]
         cuts = [since_s, *sorted(edge for edge in edges if since_s < edge < until_s), until_s]
         return [(begin, end, self._installation_at(boot, 0.5 * (begin + end))) for begin, end in pairwise(cuts)]
 
     def _installation_at(self, boot: Boot, t_s: float) -> Installation | None:
-        at = boot.utc(t_s - BEFORE_IMPACT_S)
         rows = self._installations
-        return next((row for row in reversed(rows) if row.began_at <= at), rows[0] if rows else None)
+        at = boot.unix_s(t_s)
+        return next((row for row in reversed(rows) if _holds_from(row) <= at), rows[0] if rows else None)
 
     def _refined(self, boot: Boot, t0_s: float, t_end_s: float, keep: dict[str, Any] | None = None) -> Found | None:
         """One event again from exactly the batches around it; `keep` is a mounting to hold on to."""
@@ -229,16 +232,17 @@ class Events:
             vehicle = session.get(Vehicle, vehicle_id)
             return "car" if vehicle is None else vehicle.vehicle_class
 
-    def _revise(self, row: Event) -> None:
-        """Compute a stored severe event again; a mounting that was ready stays the event's own."""
+    def _revise(self, row: Event, seen: Found | None = None) -> None:
+        """Compute a stored severe event again, from where it is seen now; a ready mounting stays the event's own."""
         boot = self._situation.boots[row.boot]
+        t0_s, t_end_s = (row.t0_s, row.t_end_s) if seen is None else (seen.event.t0, seen.event.t_end)
         with self._database.reading() as session:
             before = queries.revision_of(session, row)
             inputs = queries.document(before)["inputs"]
-        installation = self._installation_at(boot, row.t0_s)
+        installation = self._installation_at(boot, t0_s)
         same = installation is not None and installation.id == before.installation_id
         keep = inputs["mounting"] if same and inputs["mounting"]["status"] == "ready" else None
-        found = self._refined(boot, row.t0_s, row.t_end_s, keep)
+        found = self._refined(boot, t0_s, t_end_s, keep) or seen
         if found is None:
             self._withdraw(row)
         else:
@@ -365,6 +369,11 @@ def _stretches(new: Iterable[Batch]) -> list[tuple[str, float, float]]:
         else:
             stretches.append((batch.boot, batch.t_first_s, batch.t_last_s))
     return stretches
+
+
+def _holds_from(row: Installation) -> float:
+    """Unix time from which events have this mounting."""
+    return row.began_at.timestamp() + (AFTER_MOVE_S if row.beginning == "moved" else 0.0)
 
 
 def _same(rows: Sequence[Event], event: CrashEvent) -> Event | None:

@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from server.events import queries
@@ -136,19 +135,15 @@ def lines(
     limit: int = SHOWN,
 ) -> list[Line]:
     """Events with their vehicles, the newest first."""
-    rows = queries.events(
-        session,
-        organisation_id,
-        severe=severe,
-        device_id=device_id,
-        vehicle_id=vehicle_id,
-        since=since,
-        limit=limit,
+    wanted = queries.selection(
+        organisation_id, severe=severe, device_id=device_id, vehicle_id=vehicle_id, since=since, limit=limit
     )
-    devices = {row.id: row for row in session.scalars(select(Device).where(Device.id.in_({e.device_id for e in rows})))}
-    wanted = {e.vehicle_id for e in rows if e.vehicle_id}
-    vehicles = {row.id: row for row in session.scalars(select(Vehicle).where(Vehicle.id.in_(wanted)))}
-    return [Line(row, vehicles.get(row.vehicle_id or ""), devices[row.device_id]) for row in rows]
+    query = (
+        wanted.add_columns(Vehicle, Device)
+        .join(Device, Device.id == Event.device_id)
+        .outerjoin(Vehicle, Vehicle.id == Event.vehicle_id)
+    )
+    return [Line(event, vehicle, device) for event, vehicle, device in session.execute(query)]
 
 
 def unreviewed(session: Session, organisation_id: str, *, now: dt.datetime) -> list[Line]:

@@ -20,7 +20,7 @@ from server.formats.columns import Columns
 from server.formats.drive import from_drive
 from server.jobs.due import burst_devices
 from server.jobs.events import event_document, run_inputs
-from server.models import Batch, Event, EventInput, EventRevision
+from server.models import Batch, Event, EventInput, EventRevision, Installation
 
 both = pytest.mark.both_databases
 DRIVE = (Leg(100, 12.0), Leg(60, 0.0))
@@ -119,6 +119,22 @@ def test_an_event_keeps_the_mounting_of_its_time(world):
     for document in documents(world):
         assert document["inputs"]["mounting"]["R_va"] in (None, np.eye(3).tolist())
     assert documents(world)[-1]["inputs"]["mounting"]["status"] == "ready"
+
+
+def test_a_box_that_the_impact_turned_keeps_the_mounting_before_it(world):
+    """The move is seen as beginning 2 s before the event that caused it."""
+    world.reconstructor.events = []
+    for k, batch in enumerate(cut(drive_of(Leg(100, 12.0), Leg(200, 10.0, down=-1.0)), seconds=50.0)):
+        world.put(batch, k)
+    world.settle()
+    (_, moved) = world.rows(Installation, Installation.began_at)
+    assert moved.beginning == "moved"
+    at = moved.began_at.timestamp() - 1_772_366_400.0 + 2.0
+    world.reconstructor.events = [crash(at)]
+    world.put(burst(around=at), 0, stream="burst")
+    world.bring_up()
+    assert world.one(Event).kind == "crash"
+    assert documents(world)[-1]["inputs"]["mounting"]["R_va"] == np.eye(3).tolist()
 
 
 def test_a_mounting_that_becomes_ready_revises_what_waited_for_it(world):
