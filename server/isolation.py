@@ -22,7 +22,14 @@ from server.models import Base, Organisation
 EVERYWHERE = "everywhere"
 """Execution option of the rare statement that must see all: is this e-mail in use anywhere?"""
 # How a table without the organisation's id is tied to one that has it.
-_TIES = (("device_id", "device"), ("trip_id", "trip"), ("batch_id", "batch"), ("installation_id", "installation"))
+# The event comes first: what belongs to one may name a batch or an installation besides, or none.
+_TIES = (
+    ("event_id", "event"),
+    ("device_id", "device"),
+    ("trip_id", "trip"),
+    ("batch_id", "batch"),
+    ("installation_id", "installation"),
+)
 
 
 def _rows_of(table_name: str, organisation_id: str) -> Select[Any]:

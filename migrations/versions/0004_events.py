@@ -25,6 +25,7 @@ def upgrade() -> None:
     op.create_index(
         "ix_batch_burst_due", "batch", ["device_id"], postgresql_where=WAITING_BURST, sqlite_where=WAITING_BURST
     )
+    op.add_column("view_ticket", sa.Column("event_id", sa.String(length=32), nullable=True))
     op.create_table(
         "chain_seal",
         sa.Column("id", sa.String(length=32), nullable=False),
@@ -79,7 +80,7 @@ def upgrade() -> None:
         sa.Column("id", sa.String(length=32), nullable=False),
         sa.Column("event_id", sa.String(length=32), nullable=False),
         sa.Column("at", sa.DateTime(timezone=True), nullable=False),
-        sa.Column("actor", sa.String(length=80), nullable=False),
+        sa.Column("actor", sa.String(length=254), nullable=False),
         sa.Column("action", sa.String(length=20), nullable=False),
         sa.Column("note", sa.String(length=2000), nullable=True),
         sa.CheckConstraint(
@@ -143,4 +144,5 @@ def downgrade() -> None:
 
     op.drop_table("event")
     op.drop_table("chain_seal")
+    op.drop_column("view_ticket", "event_id")
     op.drop_index("ix_batch_burst_due", table_name="batch")

@@ -71,6 +71,12 @@ def look(connection: HTTPConnection, caller: Caller, permission: Permission) -> 
         audit.record(session, caller, permission, subject, now=now, address=address_of(connection), detail=detail)
 
 
+def look_at_places(connection: HTTPConnection, caller: Caller) -> None:
+    """Write to the audit log that a caller sees locations, if it may: where it may not, what it gets holds none."""
+    if caller.may("location.read"):
+        look(connection, caller, "location.read")
+
+
 def address_of(connection: HTTPConnection) -> str:
     """Where a request came from, as far as the proxies in front are believed."""
     return connection.client.host if connection.client else ""
@@ -98,6 +104,7 @@ Administrator = Annotated[Caller, Depends(needs("fleet.write"))]
 Installer = Annotated[Caller, Depends(needs("install"))]
 LocationReader = Annotated[Caller, Depends(looks_at("location.read"))]
 RawReader = Annotated[Caller, Depends(looks_at("raw.read"))]
+Reviewer = Annotated[Caller, Depends(needs("events.review"))]
 UserManager = Annotated[Caller, Depends(needs("users.manage"))]
 AuditReader = Annotated[Caller, Depends(needs("audit.read"))]
 Operator = Annotated[Caller, Depends(operator)]
@@ -114,9 +121,11 @@ __all__ = [
     "Operator",
     "RawReader",
     "Reader",
+    "Reviewer",
     "UserManager",
     "address_of",
     "caller_of",
     "look",
+    "look_at_places",
     "needs",
 ]

@@ -10,6 +10,7 @@ Permission = Literal[
     "install",  # mountings by hand, claim codes, which vehicle a box sits in
     "location.read",  # where a vehicle is or was
     "raw.read",  # the samples themselves
+    "events.review",  # say what an event was, order and end legal holds
     "users.manage",  # people, API keys
     "audit.read",  # who did and saw what
 ]
@@ -20,7 +21,7 @@ ROLE_PERMISSIONS: dict[str, frozenset[Permission]] = {
     "admin": ALL,
     "manager": frozenset({"fleet.read", "fleet.write", "install", "location.read"}),
     "installer": frozenset({"fleet.read", "install"}),
-    "claims": frozenset({"fleet.read", "location.read", "raw.read"}),
+    "claims": frozenset({"fleet.read", "location.read", "raw.read", "events.review"}),
     "reader": frozenset({"fleet.read"}),
 }
 

@@ -7,11 +7,18 @@ from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
 import orjson
-from fastapi import APIRouter, Path, Query
+from fastapi import APIRouter, Path, Query, Request
 from pydantic import AwareDatetime
 from starlette.responses import Response
 
-from server.accounts.access import Administrator, Caller, Reader
+from server.accounts.access import (
+    Caller,
+    LocationReader,
+    RawReader,
+    Reader,
+    Reviewer,
+    look_at_places,
+)
 from server.database import Database
 from server.edge import DatabaseOf, Now, StoreOf
 from server.errors import InvalidError
@@ -42,6 +49,7 @@ Language = Literal["en", "it"]
 
 @router.get("")
 def list_events(
+    request: Request,
     caller: Reader,
     database: DatabaseOf,
     device: Annotated[str | None, Query(max_length=32)] = None,
@@ -55,7 +63,8 @@ def list_events(
     before: Annotated[str | None, Query(max_length=100)] = None,
     limit: Annotated[int, Query(ge=1, le=500)] = 100,
 ) -> EventPage:
-    """Events, the newest first, a page at a time."""
+    """Events, the newest first, a page at a time; without location.read, where the vehicle came to rest is null."""
+    look_at_places(request, caller)
     with database.reading() as session:
         rows = queries.events(
             session,
@@ -71,7 +80,7 @@ def list_events(
         )
         last = rows[limit - 1] if len(rows) > limit else None
         return EventPage(
-            items=[event_out(row) for row in rows[:limit]],
+            items=[event_out(row, located=caller.may("location.read")) for row in rows[:limit]],
             next=None if last is None else f"{last.at.isoformat()}~{last.id}",
         )
 
@@ -85,11 +94,12 @@ def _place(before: str) -> tuple[dt.datetime, str]:
 
 
 @router.get("/{event_id}")
-def read(event_id: EventId, caller: Reader, database: DatabaseOf) -> EventDetail:
-    """One event as its newest revision tells it."""
+def read(request: Request, event_id: EventId, caller: Reader, database: DatabaseOf) -> EventDetail:
+    """One event as its newest revision tells it; without location.read, where the vehicle came to rest is null."""
+    look_at_places(request, caller)
     with database.reading() as session:
         event = queries.event_of(session, caller.organisation_id, event_id)
-        return event_detail(event, queries.revision_of(session, event))
+        return event_detail(event, queries.revision_of(session, event), located=caller.may("location.read"))
 
 
 @router.get("/{event_id}/revisions")
@@ -103,7 +113,7 @@ def read_history(event_id: EventId, caller: Reader, database: DatabaseOf) -> His
 @router.get("/{event_id}/diff")
 def read_diff(
     event_id: EventId,
-    caller: Reader,
+    caller: LocationReader,
     database: DatabaseOf,
     before: Annotated[int, Query(ge=1)],
     after: Annotated[int | None, Query(ge=1, description="default: the newest")] = None,
@@ -123,17 +133,17 @@ def read_diff(
 
 
 @router.put("/{event_id}/review")
-def put_review(event_id: EventId, wanted: ReviewIn, caller: Administrator, database: DatabaseOf, now: Now) -> EventOut:
+def put_review(event_id: EventId, wanted: ReviewIn, caller: Reviewer, database: DatabaseOf, now: Now) -> EventOut:
     """Confirm an event, call it a false alarm, or open it again."""
     with database.transaction() as session:
         event = service.review(
-            session, caller.organisation_id, event_id, wanted.verdict, wanted.note, actor=caller.kind, now=now
+            session, caller.organisation_id, event_id, wanted.verdict, wanted.note, actor=caller.name, now=now
         )
-        return event_out(event)
+        return event_out(event, located=caller.may("location.read"))
 
 
 @router.put("/{event_id}/hold")
-def put_hold(event_id: EventId, wanted: HoldIn, caller: Administrator, database: DatabaseOf, now: Now) -> EventOut:
+def put_hold(event_id: EventId, wanted: HoldIn, caller: Reviewer, database: DatabaseOf, now: Now) -> EventOut:
     """Put an event under a legal hold, or release it."""
     with database.transaction() as session:
         event = service.hold(
@@ -142,10 +152,10 @@ def put_hold(event_id: EventId, wanted: HoldIn, caller: Administrator, database:
             event_id,
             held=wanted.held,
             reason=wanted.reason,
-            actor=caller.kind,
+            actor=caller.name,
             now=now,
         )
-        return event_out(event)
+        return event_out(event, located=caller.may("location.read"))
 
 
 @dataclass(frozen=True)
@@ -189,7 +199,9 @@ def _file(media_type: str) -> dict[int | str, dict[str, Any]]:
 
 
 @router.get("/{event_id}/event.json", response_class=Response, responses=_file("application/json"))
-def read_canonical(event_id: EventId, caller: Reader, database: DatabaseOf, revision: Revision = None) -> Response:
+def read_canonical(
+    event_id: EventId, caller: LocationReader, database: DatabaseOf, revision: Revision = None
+) -> Response:
     """The canonical JSON: the same bytes whenever it is computed again from the same inputs."""
     subject = subject_of(database, caller, event_id, revision)
     return attachment(queries.canonical_bytes(subject.revision), "application/json", subject, "event.json")
@@ -213,7 +225,8 @@ def read_edr_csv(event_id: EventId, caller: Reader, database: DatabaseOf, revisi
 @router.get("/{event_id}/trace", response_class=Response, responses=_file("application/octet-stream"))
 def read_trace(
     event_id: EventId,
-    caller: Reader,
+    caller: RawReader,
+    _located: LocationReader,
     database: DatabaseOf,
     store: StoreOf,
     form: Annotated[exports.TraceFormat, Query(alias="format")] = "parquet",

@@ -151,29 +151,35 @@ class HoldIn(BaseModel):
     reason: Annotated[str, Field(min_length=1, max_length=500)]
 
 
-def event_out(event: Event) -> EventOut:
-    """An event as JSON."""
-    return EventOut(**_fields(event))
+def event_out(event: Event, *, located: bool) -> EventOut:
+    """An event as JSON; not `located`, without the place where it ended."""
+    return EventOut(**_fields(event, located=located))
 
 
-def event_detail(event: Event, revision: EventRevision) -> EventDetail:
+def event_detail(event: Event, revision: EventRevision, *, located: bool) -> EventDetail:
     """An event with the hashes of its newest revision."""
     return EventDetail(
-        **_fields(event),
+        **_fields(event, located=located),
         algorithm=revision.algorithm,
         input_sha256=revision.input_sha256,
         event_sha256=revision.event_sha256,
     )
 
 
-def _fields(event: Event) -> dict[str, Any]:
+def _fields(event: Event, *, located: bool) -> dict[str, Any]:
     own = ("id", "device_id", "vehicle_id", "boot", "at", "severe", "created_at", "updated_at", "revision")
     return {
-        **event.result,
+        **(event.result if located else without_place(event.result)),
         **{name: getattr(event, name) for name in (*own, "withdrawn_at")},
         "review": ReviewOut.model_validate(event, from_attributes=True),
         "hold": HoldOut(held=event.held_at is not None, since=event.held_at, reason=event.hold_reason),
     }
+
+
+def without_place(told: dict[str, Any]) -> dict[str, Any]:
+    """The crash JSON for whoever may not see where vehicles are: the way's length stays, its end is null."""
+    rest = told.get("rest")
+    return told if rest is None else {**told, "rest": {**rest, "lat": None, "lon": None}}
 
 
 def revision_out(revision: EventRevision) -> RevisionOut:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from fastapi import APIRouter
 from starlette.responses import Response
 
-from server.accounts.access import Administrator
+from server.accounts.access import LocationReader, RawReader
 from server.edge import DatabaseOf, StoreOf
 from server.events import queries
 from server.events.routes import EventId, attachment, subject_of
@@ -22,7 +22,9 @@ MEDIA_TYPE = "application/zip"
     response_class=Response,
     responses={200: {"content": {MEDIA_TYPE: {"schema": {"type": "string", "format": "binary"}}}}},
 )
-def read_evidence(event_id: EventId, caller: Administrator, database: DatabaseOf, store: StoreOf) -> Response:
+def read_evidence(
+    event_id: EventId, caller: RawReader, _located: LocationReader, database: DatabaseOf, store: StoreOf
+) -> Response:
     """Raw data, report, event, chain, and a verifier that needs nothing but Python."""
     subject = subject_of(database, caller, event_id, None)
     with database.reading() as session:

@@ -46,4 +46,6 @@ class ViewTicket(Base):
     ticket_hash: Mapped[str] = mapped_column(String(64), primary_key=True)
     organisation_id: Mapped[str] = mapped_column(ForeignKey("organisation.id"))
     device_id: Mapped[str] = mapped_column(ForeignKey("device.id", ondelete="CASCADE"))
+    event_id: Mapped[str | None] = mapped_column(String(32))
+    """The one event whose replay it opens besides; the replay follows the vehicle's way."""
     expires_at: Mapped[dt.datetime]

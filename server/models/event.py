@@ -90,7 +90,7 @@ class EventAction(Base):
     id: Mapped[str] = id_column()
     event_id: Mapped[str] = mapped_column(ForeignKey("event.id", ondelete="CASCADE"))
     at: Mapped[dt.datetime]
-    actor: Mapped[str] = mapped_column(String(80))
+    actor: Mapped[str] = mapped_column(String(254))
     action: Mapped[str] = mapped_column(String(20))
     note: Mapped[str | None] = mapped_column(String(2000))
 

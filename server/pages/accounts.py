@@ -39,6 +39,7 @@ PERMISSION_WORDS: dict[Permission, str] = {
     "install": "install boxes and set mountings by hand",
     "location.read": "see where vehicles are and were",
     "raw.read": "see the samples themselves",
+    "events.review": "review events and hold them for a claim",
     "users.manage": "add people and API keys",
     "audit.read": "read the audit log",
 }

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 from fastapi import APIRouter, Form, Request
 from starlette.responses import HTMLResponse, RedirectResponse, Response
 
-from server.accounts.access import Administrator, Caller, Reader, look
+from server.accounts.access import Caller, Reader, Reviewer, look_at_places
 from server.edge import DatabaseOf, Now, SettingsOf
 from server.events import service as events
 from server.pages import events as event_queries
@@ -21,7 +21,7 @@ router = APIRouter(include_in_schema=False, default_response_class=HTMLResponse)
 @router.get("/")
 def fleet(request: Request, caller: Reader, settings: SettingsOf, database: DatabaseOf, now: Now) -> HTMLResponse:
     """Map, what needs attention, and every box."""
-    _look(request, caller)
+    look_at_places(request, caller)
     with database.reading() as session:
         change = queries.last_change(session, caller.organisation_id)
         found = queries.fleet(session, caller.organisation_id, now=now)
@@ -43,7 +43,7 @@ def vehicle(
     request: Request, vehicle_id: str, caller: Reader, settings: SettingsOf, database: DatabaseOf, now: Now
 ) -> HTMLResponse:
     """A vehicle and the box in it."""
-    _look(request, caller)
+    look_at_places(request, caller)
     with database.reading() as session:
         change = queries.last_change(session, caller.organisation_id)
         page = queries.vehicle_page(session, caller.organisation_id, vehicle_id, now=now)
@@ -55,17 +55,11 @@ def device(
     request: Request, device_id: str, caller: Reader, settings: SettingsOf, database: DatabaseOf, now: Now
 ) -> HTMLResponse:
     """A box by itself, in a vehicle or not."""
-    _look(request, caller)
+    look_at_places(request, caller)
     with database.reading() as session:
         change = queries.last_change(session, caller.organisation_id)
         page = queries.device_page(session, caller.organisation_id, device_id, now=now)
     return answer(request, "vehicle.html", caller, "vehicles", change, _vehicle_context(page, settings.map_tiles_url))
-
-
-def _look(request: Request, caller: Caller) -> None:
-    """The page shows where vehicles are to whoever may see it, and the audit log tells that it did."""
-    if caller.may("location.read"):
-        look(request, caller, "location.read")
 
 
 @router.get("/events")
@@ -86,6 +80,7 @@ def event_list(
 @router.get("/events/{event_id}")
 def event(request: Request, event_id: str, caller: Reader, settings: SettingsOf, database: DatabaseOf) -> HTMLResponse:
     """One event: replay, curves, map, numbers, downloads, review."""
+    look_at_places(request, caller)
     with database.reading() as session:
         change = queries.last_change(session, caller.organisation_id)
         page = event_queries.event_page(session, caller.organisation_id, event_id)
@@ -96,7 +91,7 @@ def event(request: Request, event_id: str, caller: Reader, settings: SettingsOf,
 @router.post("/events/{event_id}/review")
 def review(
     event_id: str,
-    caller: Administrator,
+    caller: Reviewer,
     database: DatabaseOf,
     now: Now,
     verdict: Annotated[Literal["confirmed", "false_alarm", "open"], Form()],
@@ -105,14 +100,14 @@ def review(
     """The page's review form."""
     said = None if verdict == "open" else verdict
     with database.transaction() as session:
-        events.review(session, caller.organisation_id, event_id, said, note.strip() or None, actor=caller.kind, now=now)
+        events.review(session, caller.organisation_id, event_id, said, note.strip() or None, actor=caller.name, now=now)
     return RedirectResponse(f"/events/{event_id}", 303)
 
 
 @router.post("/events/{event_id}/hold")
 def hold(
     event_id: str,
-    caller: Administrator,
+    caller: Reviewer,
     database: DatabaseOf,
     now: Now,
     held: Annotated[bool, Form()],
@@ -120,7 +115,7 @@ def hold(
 ) -> Response:
     """The page's form for a legal hold."""
     with database.transaction() as session:
-        events.hold(session, caller.organisation_id, event_id, held=held, reason=reason, actor=caller.kind, now=now)
+        events.hold(session, caller.organisation_id, event_id, held=held, reason=reason, actor=caller.name, now=now)
     return RedirectResponse(f"/events/{event_id}", 303)
 
 

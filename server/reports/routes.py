@@ -5,7 +5,7 @@ from __future__ import annotations
 from fastapi import APIRouter
 from starlette.responses import Response
 
-from server.accounts.access import Reader
+from server.accounts.access import LocationReader
 from server.edge import DatabaseOf
 from server.events.routes import EventId, Language, Revision, Subject, attachment, subject_of
 from server.reports.pdf import Heading, report_pdf
@@ -33,7 +33,7 @@ def heading_of(subject: Subject) -> Heading:
     responses={200: {"content": {MEDIA_TYPE: {"schema": {"type": "string", "format": "binary"}}}}},
 )
 def read_report(
-    event_id: EventId, caller: Reader, database: DatabaseOf, lang: Language = "en", revision: Revision = None
+    event_id: EventId, caller: LocationReader, database: DatabaseOf, lang: Language = "en", revision: Revision = None
 ) -> Response:
     """The report of a revision, English or Italian; the same bytes each time."""
     subject = subject_of(database, caller, event_id, revision)

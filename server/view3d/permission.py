@@ -29,8 +29,10 @@ class Ticket:
     expires_at: dt.datetime
 
 
-def issue(session: Session, organisation_id: str, device_id: str, *, now: dt.datetime) -> Ticket:
-    """Make a ticket for a box of the organisation; tickets that expired are cleared away."""
+def issue(
+    session: Session, organisation_id: str, device_id: str, *, now: dt.datetime, event_id: str | None = None
+) -> Ticket:
+    """Make a ticket for a box of the organisation and one event's replay; tickets that expired are cleared away."""
     device = session.get(Device, device_id)
     if device is None or device.organisation_id != organisation_id:
         raise NotFoundError(f"no device {device_id}")
@@ -39,20 +41,24 @@ def issue(session: Session, organisation_id: str, device_id: str, *, now: dt.dat
     expires_at = now + LIFETIME
     session.add(
         ViewTicket(
-            ticket_hash=hash_of(secret), organisation_id=organisation_id, device_id=device_id, expires_at=expires_at
+            ticket_hash=hash_of(secret),
+            organisation_id=organisation_id,
+            device_id=device_id,
+            event_id=event_id,
+            expires_at=expires_at,
         )
     )
     return Ticket(f"/view3d/{secret}/{device_id}/", expires_at)
 
 
-def opens(session: Session, secret: str, device_id: str, *, now: dt.datetime) -> bool:
-    """Whether this ticket opens the view of this box now."""
-    found = session.scalar(
-        select(ViewTicket.device_id).where(
-            ViewTicket.ticket_hash == hash_of(secret), ViewTicket.device_id == device_id, ViewTicket.expires_at > now
-        )
+def opens(session: Session, secret: str, device_id: str, *, now: dt.datetime, event_id: str | None = None) -> bool:
+    """Whether this ticket opens the view of this box now; told an event, its replay."""
+    query = select(ViewTicket.device_id).where(
+        ViewTicket.ticket_hash == hash_of(secret), ViewTicket.device_id == device_id, ViewTicket.expires_at > now
     )
-    return found is not None
+    if event_id is not None:
+        query = query.where(ViewTicket.event_id == event_id)
+    return session.scalar(query) is not None
 
 
 def renew(session: Session, secret: str, *, now: dt.datetime) -> None:

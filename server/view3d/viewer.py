@@ -88,12 +88,12 @@ class Viewer:
             await run_in_threadpool(self.pool.leave, device_id)
 
     async def recording(self, request: Request) -> Response:
-        """A recorded replay of one of the box's events, for the holder of a ticket."""
-        secret, device_id = request.path_params["ticket"], request.path_params["device_id"]
-        if not await run_in_threadpool(self._opens, secret, device_id):
+        """A recorded replay of one of the box's events, for the holder of a ticket for it."""
+        secret, device_id, event_id = (request.path_params[name] for name in ("ticket", "device_id", "event_id"))
+        if not await run_in_threadpool(self._opens, secret, device_id, event_id):
             return PlainTextResponse(_EXPIRED, 403, self._headers)
         try:
-            content = await run_in_threadpool(self.replays.of, device_id, request.path_params["event_id"])
+            content = await run_in_threadpool(self.replays.of, device_id, event_id)
         except ProblemError as problem:
             return PlainTextResponse(problem.detail, problem.status, self._headers)
         return Response(content, headers=self._headers, media_type="application/octet-stream")
@@ -107,9 +107,9 @@ class Viewer:
         self.pool.close()
         self._database.dispose()
 
-    def _opens(self, secret: str, device_id: str) -> bool:
+    def _opens(self, secret: str, device_id: str, event_id: str | None = None) -> bool:
         with self._database.reading() as session:
-            return permission.opens(session, secret, device_id, now=self._clock())
+            return permission.opens(session, secret, device_id, now=self._clock(), event_id=event_id)
 
     async def _keep(self, secret: str) -> None:
         while True:

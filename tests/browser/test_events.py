@@ -3,25 +3,20 @@
 from __future__ import annotations
 
 import datetime as dt
-import hashlib
 import sys
 from pathlib import Path
 
 import pytest
-import zstandard
 from playwright.sync_api import expect
 from sqlalchemy import select
 
-from server.events.canonical import canonical, settle
-from server.events.document import document_of
-from server.jobs.events import batch_json, clock_json, mounting_json
 from server.live.changes import announce
-from server.models import Batch, Boot, Device, Event, EventInput, EventRevision, Installation
+from server.models import Batch, Boot, Device, Event, Installation
 from tests.browser.test_pages import css, wait_drawn
 from tests.browser.test_view3d import CHATTER, PATIENCE_MS, coloured, viewer
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "server"))
-from crash_world import crash
+from crash_world import crash, store_event
 
 __all__ = ["viewer"]
 
@@ -35,52 +30,11 @@ def event(site) -> str:
         boot = session.scalars(select(Boot).where(Boot.device_id == device.id)).one()
         installation = session.scalars(select(Installation).where(Installation.device_id == device.id)).one()
         t0 = 120.0
-        made = crash(t0, utc_t0=boot.unix_s(t0))
-        inputs = settle(
-            {
-                "batches": [batch_json(batch) for batch in batches],
-                "between_s": [t0 - 1.5, t0 + 1.5],
-                "mounting": mounting_json(installation),
-                "vehicle_class": "car",
-                "clock": clock_json(boot),
-            }
-        )
-        document = settle(document_of(made, inputs, device_id=device.id, boot=boot.boot))
-        content, now = canonical(document), dt.datetime.now(dt.UTC)
-        row = Event(
-            organisation_id=device.organisation_id,
-            device_id=device.id,
-            vehicle_id=device.vehicle_id,
-            boot=boot.boot,
-            kind="crash",
-            severe=True,
-            t0_s=t0,
-            t_end_s=made.t_end,
-            at=boot.utc(t0),
-            created_at=now,
-            updated_at=now,
-            revision=1,
-            result=document["event"],
-        )
-        session.add(row)
-        session.flush()
-        session.add(
-            EventRevision(
-                event_id=row.id,
-                number=1,
-                created_at=now,
-                installation_id=installation.id,
-                algorithm=document["algorithm"],
-                input_sha256=document["inputs"]["sha256"],
-                event_sha256=hashlib.sha256(content).hexdigest(),
-                document=zstandard.ZstdCompressor().compress(content),
-            )
-        )
-        session.add_all(EventInput(event_id=row.id, batch_id=batch.id) for batch in batches)
+        row = store_event(session, crash(t0, utc_t0=boot.unix_s(t0)), device, boot, list(batches), installation)
         announce(
             session,
             "event",
-            at=now,
+            at=dt.datetime.now(dt.UTC),
             organisation_id=device.organisation_id,
             device_id=device.id,
             vehicle_id=device.vehicle_id,

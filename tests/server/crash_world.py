@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import datetime as dt
+import hashlib
 import math
 
 import numpy as np
+import zstandard
 
 from nav_core.events.record import (
     ALGORITHM,
@@ -21,6 +24,10 @@ from nav_core.events.record import (
     Trajectory,
 )
 from nav_core.records import Remark
+from server.events.canonical import canonical, settle
+from server.events.document import document_of
+from server.jobs.events import batch_json, clock_json, mounting_json
+from server.models import Batch, Boot, Device, Event, EventInput, EventRevision, Installation
 
 KMH, DEG, G = 1 / 3.6, math.pi / 180, 9.80665
 
@@ -178,6 +185,56 @@ def driver() -> Driver:
         steered="none",
         stopping_distance=24.3,
     )
+
+
+def store_event(
+    session, made: CrashEvent, device: Device, boot: Boot, batches: list[Batch], installation: Installation, **fields
+) -> Event:
+    """The rows of an event as the job stores them, its first revision."""
+    inputs = settle(
+        {
+            "batches": [batch_json(batch) for batch in batches],
+            "between_s": [made.t0 - 1.5, made.t0 + 1.5],
+            "mounting": mounting_json(installation),
+            "vehicle_class": "car",
+            "clock": clock_json(boot),
+        }
+    )
+    document = settle(document_of(made, inputs, device_id=device.id, boot=boot.boot))
+    content, now = canonical(document), dt.datetime.now(dt.UTC)
+    row = Event(
+        organisation_id=device.organisation_id,
+        device_id=device.id,
+        vehicle_id=device.vehicle_id,
+        boot=boot.boot,
+        kind=made.kind,
+        severe=True,
+        t0_s=made.t0,
+        t_end_s=made.t_end,
+        at=boot.utc(made.t0),
+        created_at=now,
+        updated_at=now,
+        revision=1,
+        result=document["event"],
+        **fields,
+    )
+    session.add(row)
+    session.flush()
+    session.add(
+        EventRevision(
+            event_id=row.id,
+            number=1,
+            created_at=now,
+            installation_id=installation.id,
+            algorithm=document["algorithm"],
+            input_sha256=document["inputs"]["sha256"],
+            event_sha256=hashlib.sha256(content).hexdigest(),
+            document=zstandard.ZstdCompressor().compress(content),
+        )
+    )
+    session.add_all(EventInput(event_id=row.id, batch_id=batch.id) for batch in batches)
+    session.flush()
+    return row
 
 
 class Reconstructor:

@@ -120,7 +120,7 @@ def test_review_and_hold_are_remembered(admin, event):
     assert admin.put(f"{url}/review", json={"verdict": "perhaps"}).status_code == 422
     actions = admin.get(f"{url}/revisions").json()["actions"]
     assert sorted(a["action"] for a in actions) == ["confirmed", "held", "released"]
-    assert {a["actor"] for a in actions} == {"admin"}
+    assert {a["actor"] for a in actions} == {"administrator's token"}
 
 
 def test_a_held_or_confirmed_event_is_not_withdrawn(admin, world, event):

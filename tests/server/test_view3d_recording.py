@@ -88,12 +88,16 @@ def test_a_replay_over_http(admin, client, app, database, settings, clock, organ
         assert answer.content == admin.get(path).content
         assert client.get(path).status_code == 401
         assert admin.get("/api/v1/events/" + "0" * 32 + "/scene.viser").status_code == 404
-        ticket = admin.post(f"/api/v1/devices/{world.device_id}/view-ticket").json()["url"]
+        ticket = admin.post(f"/api/v1/events/{event['id']}/view-ticket").json()["url"]
         inside = f"{ticket}events/{event['id']}.viser"
         assert httpx.get(f"{client.base_url}{inside}").status_code == 200
         other = world.new_device()
         ticket = admin.post(f"/api/v1/devices/{other}/view-ticket").json()["url"]
-        assert httpx.get(f"{client.base_url}{ticket}events/{event['id']}.viser").status_code == 404
+        assert httpx.get(f"{client.base_url}{ticket}events/{event['id']}.viser").status_code == 403
+        # The replay follows the vehicle's way: a ticket for the box alone does not open it.
+        ticket = admin.post(f"/api/v1/devices/{world.device_id}/view-ticket").json()["url"]
+        assert httpx.get(f"{client.base_url}{ticket}").status_code == 200
+        assert httpx.get(f"{client.base_url}{ticket}events/{event['id']}.viser").status_code == 403
     finally:
         server.should_exit = True
         thread.join(10.0)

@@ -12,7 +12,9 @@ class Scene3d extends HTMLElement {
     this.#say("Opening the 3D view");
     const token = document.querySelector('meta[name="csrf-token"]')?.getAttribute("content") ?? "";
     try {
-      const answer = await fetch(`/api/v1/devices/${this.getAttribute("device")}/view-ticket`, { method: "POST", headers: { "X-CSRF-Token": token } });
+      const event = this.getAttribute("event");
+      const subject = event ? `events/${event}` : `devices/${this.getAttribute("device")}`;
+      const answer = await fetch(`/api/v1/${subject}/view-ticket`, { method: "POST", headers: { "X-CSRF-Token": token } });
       if (!answer.ok) throw new Error(`no ticket: ${answer.status}`);
       /** @type {{url: string}} */
       const { url } = await answer.json();
@@ -20,7 +22,6 @@ class Scene3d extends HTMLElement {
       const view = await fetch(url);
       void view.body?.cancel();
       if (!view.ok) throw new Error(`no view: ${view.status}`);
-      const event = this.getAttribute("event");
       const recording = event ? `${url}events/${event}.viser` : "";
       const frame = document.createElement("iframe");
       const dark = matchMedia("(prefers-color-scheme: dark)").matches;
