@@ -18,7 +18,7 @@ from server.jobs.chapters import APART, Chapter
 from server.models import Installation, Vehicle
 
 R_VA = random_rotation(np.random.default_rng(5))
-LONG = Scenario(route="gentle", duration=1900.0, R_va=R_VA, accel_rate=20.0, gnss_rate=1.0)
+LONG = Scenario(route="gentle", duration=1900.0, R_va=R_VA, accel_rate=20.0, gnss_rate=1.0, accel_bias=0.0, crown=0.01)
 
 
 @pytest.fixture
