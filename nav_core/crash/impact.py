@@ -27,10 +27,8 @@ ROTATION = np.radians(0.25)
 """1 sigma of the direction of the axes besides the mounting, rad."""
 
 ROUGH = 0.6
-"""Samples off the mean of their neighbours by this share of the pulse (rms) are sampled too slowly, ..."""
-
-ROUGH_SIGMA = 0.03
-"""... and this is the 1 sigma that it costs, share of delta-V."""
+"""Samples off the mean of their neighbours by this share of the pulse (rms) are sampled too slowly: what they ring by
+is taken as noise that adds up sample by sample."""
 
 HELD = 0.1
 """Share of a turn during the blow that a gyro sampled with the accelerometer may miss, 1 sigma."""
@@ -196,8 +194,12 @@ def _covariance(case: Case, blow: Blow, d: Floats, k: int, steady: Steady) -> Fl
     elapsed = float(blow.t[k] - blow.t[blow.zero])
     every = (steady.sigma * elapsed) ** 2 + JITTER**2
     alias = float(np.interp(np.log(case.rate), np.log(ALIASING[0]), ALIASING[1]))
-    if _rough(blow.a[blow.zero : blow.last + 1]) > ROUGH:
-        alias = float(np.hypot(alias, ROUGH_SIGMA))
+    pulse = blow.a[blow.zero : blow.last + 1]
+    rough = _rough(pulse)
+    if rough > ROUGH:
+        # Of white noise, a sample is off the mean of its neighbours by 1.5 times the variance.
+        noise = rough * float(np.sqrt(np.mean(pulse**2) / 1.5))
+        every += noise**2 * max(k - blow.zero, 1) / case.rate**2
     turned = float(np.arctan2(blow.C[k, 1, 0], blow.C[k, 0, 0]))
     turn = case.sigma[2] ** 2 + ROTATION**2 + (HELD * turned) ** 2
     # An open heading leaves the resultant as sure as it is.

@@ -32,6 +32,9 @@ PARKED_CHANGE = 0.45
 SWIPE_CHANGE = 1.25
 """Change to the side within 100 ms that makes a side swipe below the trigger, m/s: 1.3 g on average, beyond tyres."""
 
+SWIPE_LONGEST = 0.5
+"""Longer than this it was a bend, s."""
+
 SHOCK: dict[VehicleClass, float] = {"car": 20.0, "van": 22.0, "truck": 30.0, "bus": 25.0, "motorcycle": 35.0}
 """Force off its surroundings that makes a road shock, m/s²: stiffer vehicles shake harder."""
 
@@ -359,9 +362,23 @@ def _swipes(scene: Scene, found: list[Finding]) -> list[Finding]:
         moved = signs.before is not None and signs.before > MOVES
         if not moved or signs.fell or signs.turned > TURNED or signs.kept < 0.6:
             continue
+        if _off_the_bend(stream, window) < SWIPE_CHANGE:
+            continue
         remark = Remark("below_trigger", "A blow to the side below the trigger of 49 CFR 563.")
         out.append(Finding("crash", window, 0.7, peak_of(stream, window), (remark,)))
     return out
+
+
+def _off_the_bend(stream: Stream, window: Window) -> float:
+    """Sideways change of a short event without what cornering before and after it explains, m/s; 0 of a long one."""
+    t0, t_end = float(stream.t[window.zero]), float(stream.t[window.end])
+    if t_end - t0 > SWIPE_LONGEST:
+        return 0.0
+    around = [stream.mean(t0 - 0.3, t0 - 0.02), stream.mean(t_end + 0.02, t_end + 0.3)]
+    bend = [float(mean[1] - stream.rest[window.zero, 1]) for mean in around if mean is not None]
+    change = float(stream.at(np.array([t_end]))[0, 1] - stream.v[window.zero, 1])
+    # The rest is taken anew at each sample: over so short an event it stays what it was.
+    return abs(change - (float(np.mean(bend)) if bend else 0.0) * (t_end - t0))
 
 
 def _bumps(scene: Scene, violent: Floats, found: list[Finding]) -> list[Finding]:

@@ -151,16 +151,19 @@ def test_the_replay_plays_and_can_be_scrubbed(event, open_page, screenshot):
     time = frame.get_by_role("textbox").first
     expect(time).to_be_visible(timeout=PATIENCE_MS)
     expect(time).not_to_have_value("0.0", timeout=PATIENCE_MS)  # it plays
-    page.keyboard.press("Escape")
     frame.locator("body").press("Space")  # viser's key for pause
-    time.fill("6.8")
-    time.press("Tab")
+    for _ in range(20):  # until the pause has come through, the time runs on under the typing
+        time.fill("6.8")
+        page.wait_for_timeout(500)
+        if time.input_value() == "6.8":
+            break
     box = page.locator("scene-3d").bounding_box()
     red = 0
-    for _ in range(40):
+    for _ in range(120):  # the scene fades in, slowly where software renders it
         red = coloured(page.screenshot(clip=box))["red"]
         if red > 300:
             break
+        page.wait_for_timeout(500)
     screenshot(page, "event-replay")
     assert red > 300, "the arrow of the force, which is there from time zero on"
     expect(time).to_have_value("6.8")

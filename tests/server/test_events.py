@@ -21,7 +21,7 @@ from server.cli.main import main
 from server.devices.schemas import DeviceIn
 from server.devices.service import register
 from server.jobs.reprocess import reprocess, severe_events
-from server.models import Batch, Event
+from server.models import Batch, Event, Organisation
 from server.store import collect
 
 T0 = 100.0
@@ -277,8 +277,7 @@ def test_the_api_keeps_the_body_of_a_batch_that_may_hold_a_blow(client, make_dev
 
 
 def test_another_tenants_event_is_not_found(admin, database, clock, event):
-    from server.models import Organisation
-
+    clock.advance(seconds=1.0)  # the oldest organisation is the administrator's
     with database.transaction() as session:
         other = Organisation(name="other", created_at=clock())
         session.add(other)
