@@ -23,8 +23,8 @@ class Boots:
         self._situation = situation
         self._results = results
         self._stored_pairs = stored_pairs
-        self._arrivals = {
-            (batch.boot, batch.sequence): batch.received_at.timestamp()
+        self._offsets = {
+            (batch.boot, batch.sequence): _arrival_offset(batch)
             for batch in situation.batches
             if batch.stream != "burst"
         }
@@ -32,7 +32,7 @@ class Boots:
     def continue_boot(self, name: str, parts: Sequence[Piece]) -> None:
         """Take in new batches of the continuous stream."""
         boots = self._situation.boots
-        offset = min(self._arrivals[name, part.sequence] - part.t_last_s for part in parts)
+        offset = min(self._offsets[name, part.sequence] for part in parts)
         first, last = min(part.t_first_s for part in parts), max(part.t_last_s for part in parts)
         boot = boots.get(name) or self._begin(name, offset, first, last)
         boot.arrival_offset_s = min(boot.arrival_offset_s, offset)
@@ -50,7 +50,7 @@ class Boots:
         """Give a boot of which a burst came first a clock; the continuous stream makes it a better one."""
         if batch.boot in self._situation.boots:
             return
-        offset = batch.received_at.timestamp() - batch.t_last_s
+        offset = _arrival_offset(batch)
         boot = self._begin(batch.boot, offset, batch.t_first_s, batch.t_last_s)
         _set(boot, clocks.from_arrival(offset) if pair is None else clocks.from_fixes(*np.array([pair]).T))
         self._results.put(boot)
@@ -67,6 +67,11 @@ class Boots:
             trip_state={},
         )
         return boot
+
+
+def _arrival_offset(batch: Batch) -> float:
+    """Time of arrival minus box time; a box that says when it sent the batch does not let the wait count."""
+    return batch.received_at.timestamp() - (batch.t_last_s if batch.sent_t_s is None else batch.sent_t_s)
 
 
 def _set(boot: Boot, clock: clocks.BootClock) -> None:

@@ -22,12 +22,13 @@ from sqlalchemy.orm import Session
 
 from nav_core.crash import reconstruct_drive
 from nav_core.mounting.trips import told_of
+from nav_core.typing import Floats
 from server.database import Database
 from server.errors import ProblemError
 from server.formats.columns import Columns
 from server.formats.drive import to_drive
-from server.jobs import clock as clocks
 from server.jobs import situation as reads
+from server.jobs.boots import Boots
 from server.jobs.digest import Digest, clock_pair, digest_drive, encode
 from server.jobs.events import Events, Reconstructor
 from server.jobs.mountings import Estimator, Mountings, Sources
@@ -180,8 +181,7 @@ class Round:
             elif read.digest is not None:
                 pieces.append(_piece(batch, read.digest))
                 results.digests.append(_digest_row(batch, read.digest))
-        self._map_clocks(pieces)
-        self._map_burst_clocks(known)
+        self._map_clocks(pieces, known)
         self._take_position(pieces)
         self._take_health(pieces, failed)
         self._trips(pieces)
@@ -190,66 +190,18 @@ class Round:
         self._plan_review(mountings.pending)
         return Outcome(len(situation.batches), failed, results.estimates, situation.more)
 
-    def _map_clocks(self, pieces: list[Piece]) -> None:
+    def _map_clocks(self, pieces: list[Piece], known: dict[str, Read]) -> None:
         """Bring the boots' clocks up to date."""
-        boots = self._situation.boots
-        sendings = {(batch.boot, batch.sequence): batch for batch in self._situation.batches}
+        boots = Boots(self._situation, self._results, self._stored_pairs)
         for name, parts in _by_boot(pieces).items():
-            offset = min(_arrival_offset(sendings[name, part.sequence]) for part in parts)
-            first, last = min(part.t_first_s for part in parts), max(part.t_last_s for part in parts)
-            boot = boots.get(name)
-            if boot is None:
-                boot = Boot(
-                    device_id=self._situation.device.id,
-                    boot=name,
-                    ordinal=max((other.ordinal for other in boots.values()), default=-1) + 1,
-                    arrival_offset_s=offset,
-                    t_first_s=first,
-                    t_last_s=last,
-                    trip_state={},
-                )
-                boots[name] = boot
-            boot.arrival_offset_s = min(boot.arrival_offset_s, offset)
-            boot.t_first_s, boot.t_last_s = min(boot.t_first_s, first), max(boot.t_last_s, last)
-            self._fit(boot, parts)
-            self._results.put(boot)
-
-    def _map_burst_clocks(self, known: dict[str, Read]) -> None:
-        """Give a boot of which a burst came first a clock; the continuous stream makes it a better one."""
-        boots = self._situation.boots
+            boots.continue_boot(name, parts)
         for batch in self._situation.batches:
-            read = known[batch.id]
-            if batch.stream != "burst" or read.columns is None or batch.boot in boots:
-                continue
-            arrival = batch.received_at.timestamp() - batch.t_last_s
-            pair = read.clock_pair
-            fitted = clocks.from_arrival(arrival) if pair is None else clocks.from_fixes(*np.array([pair]).T)
-            boots[batch.boot] = boot = Boot(
-                device_id=self._situation.device.id,
-                boot=batch.boot,
-                ordinal=max((other.ordinal for other in boots.values()), default=-1) + 1,
-                arrival_offset_s=arrival,
-                t_first_s=batch.t_first_s,
-                t_last_s=batch.t_last_s,
-                trip_state={},
-                utc_offset_s=fitted.offset_s,
-                utc_drift=fitted.drift,
-                utc_sigma_s=fitted.sigma_s,
-                utc_source=fitted.source,
-            )
-            self._results.put(boot)
+            if batch.stream == "burst" and known[batch.id].columns is not None:
+                boots.begin_with_burst(batch, known[batch.id].clock_pair)
 
-    def _fit(self, boot: Boot, parts: list[Piece]) -> None:
+    def _stored_pairs(self, boot: str) -> tuple[Floats, Floats]:
         with self._database.reading() as session:
-            t, offset = reads.clock_pairs(session, self._situation.device.id, boot.boot)
-        pairs = [pair for part in parts if (pair := part.digest.clock_pair()) is not None]
-        t = np.append(t, [pair[0] for pair in pairs])
-        offset = np.append(offset, [pair[1] for pair in pairs])
-        if not t.size and boot.utc_source == "gnss":
-            return  # a burst told UTC before
-        fitted = clocks.from_fixes(t, offset) if t.size else clocks.from_arrival(boot.arrival_offset_s)
-        boot.utc_offset_s, boot.utc_drift = fitted.offset_s, fitted.drift
-        boot.utc_sigma_s, boot.utc_source = fitted.sigma_s, fitted.source
+            return reads.clock_pairs(session, self._situation.device.id, boot)
 
     def _take_position(self, pieces: list[Piece]) -> None:
         boots, state = self._situation.boots, self._state
@@ -447,11 +399,6 @@ def _piece(batch: Batch, digest: Digest) -> Piece:
 def _digest_row(batch: Batch, digest: Digest) -> BatchDigest:
     t, offset = digest.clock_pair() or (None, None)
     return BatchDigest(batch_id=batch.id, content=encode(digest), clock_t_s=t, clock_offset_s=offset)
-
-
-def _arrival_offset(batch: Batch) -> float:
-    """Time of arrival minus box time; a box that says when it sent the batch does not let the wait count."""
-    return batch.received_at.timestamp() - (batch.t_last_s if batch.sent_t_s is None else batch.sent_t_s)
 
 
 def _by_boot(pieces: list[Piece]) -> dict[str, list[Piece]]:

@@ -99,6 +99,24 @@ def test_the_event_page_on_a_phone(event, open_page, screenshot):
     screenshot(page, "event-phone")
 
 
+@pytest.mark.parametrize("width", [320, 390])
+def test_pages_and_their_navigation_fit_a_phone(event, site, open_page, width):
+    page = open_page("/", viewport={"width": width, "height": 740})
+    for path in ("/", "/vehicles", f"/vehicles/{site.vehicles['Fiat Panda']}", "/events", f"/events/{event}", "/users"):
+        page.goto(path)
+        assert page.evaluate("document.documentElement.scrollWidth") <= width, path
+    page.goto("/audit")
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+    for cell in page.locator(".rows td, .rail-link").all():
+        assert cell.evaluate("e => e.scrollWidth <= e.clientWidth && e.getBoundingClientRect().right <= innerWidth")
+
+
+def test_boxes_to_tick_stand_before_their_words(open_page):
+    page = open_page("/users")
+    for label in page.locator("label.check").all():
+        assert label.locator("input").bounding_box()["width"] < 30
+
+
 def test_downloads_and_review(event, site, open_page):
     page = open_page(f"/events/{event}")
     for name, start in (
