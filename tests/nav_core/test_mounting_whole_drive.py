@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import replace
+from functools import cache
 from itertools import pairwise
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from nav_core.mounting import UnknownMethodError, estimate_mounting
 from nav_core.mounting.closed_form import start
@@ -15,7 +19,7 @@ from nav_core.mounting.stretch import prepare, usable_fixes
 from nav_core.mounting.whole_drive import estimate
 from nav_core.records import Drive, Gnss, Inertial, MountingEstimate
 from nav_core.rotation import angle_between, error_between
-from nav_core.signal import decimate, merge
+from nav_core.signal import Ticks, decimate, merge
 from nav_core.simulate import Scenario, Truth, random_rotation, simulate
 
 MILLI_G = 9.80665e-3
@@ -40,13 +44,14 @@ def _run(count: int, first_seed: int, **scenario: object) -> tuple[np.ndarray, n
 
 
 ROUTES = [
-    # route, seconds, drives, median total, yaw rms, worst; degrees
+    # route, seconds, drives, median total, yaw rms, worst; degrees.  A minute in town may be nearly straight: of a few
+    # drives one decides the rms; `make bench-mounting` has the many.
     ("urban", 300.0, 9, 1.0, 0.6, 4.0),
-    ("urban", 60.0, 12, 1.8, 3.0, 10.0),
-    ("straight", 300.0, 6, 1.6, 0.9, 4.0),
-    ("gentle", 300.0, 6, 1.7, 1.7, 5.0),
-    ("roundabout", 120.0, 9, 1.4, 1.0, 4.0),
-    ("highway", 600.0, 6, 1.3, 1.0, 4.0),
+    ("urban", 60.0, 18, 1.5, 2.0, 7.0),
+    ("straight", 300.0, 9, 1.2, 0.65, 4.0),
+    ("gentle", 300.0, 9, 1.7, 1.7, 5.0),
+    ("roundabout", 120.0, 12, 1.4, 1.0, 4.0),
+    ("highway", 600.0, 9, 1.2, 0.65, 4.0),
 ]
 
 
@@ -55,7 +60,7 @@ def test_routes(route: str, duration: float, count: int, median: float, yaw: flo
     errors, sigmas, statuses = _run(count, 4000, route=route, duration=duration)
     total = np.linalg.norm(errors, axis=1)
     assert statuses["insufficient"] + statuses["not_fixed"] == 0
-    assert statuses["ready"] >= 0.6 * count
+    assert statuses["ready"] >= (0.5 if duration == 60.0 else 0.8) * count
     assert np.median(total) < median
     assert np.sqrt(np.mean(errors[:, 2] ** 2)) < yaw
     assert total.max() < worst
@@ -74,11 +79,35 @@ def test_a_hundred_urban_drives():
     assert np.all(inside >= 0.9)
 
 
-def test_a_poor_accelerometer_costs_little():
-    errors, sigmas, statuses = _run(6, 4100, duration=300.0, accel_bias=30.0 * MILLI_G)
-    assert statuses["ready"] == 6
-    assert np.median(np.linalg.norm(errors, axis=1)) < 1.6
-    assert np.mean(np.abs(errors) < 1.96 * sigmas) > 0.8
+@pytest.mark.slow
+@pytest.mark.parametrize("bias", [5.0, 30.0])
+@pytest.mark.parametrize(("route", "duration"), [("urban", 60.0), ("straight", 300.0), ("gentle", 300.0)])
+def test_every_axis_lies_within_its_interval(route: str, duration: float, bias: float):
+    """Axis by axis, for a calibrated and an uncalibrated accelerometer: 21 of 30 or fewer are once in 10^5 at 95 %."""
+    errors, sigmas, _ = _run(30, 4200, route=route, duration=duration, accel_bias=bias * MILLI_G, accel_rate=100.0)
+    inside = np.sum(np.abs(errors) < 1.96 * sigmas, axis=0)
+    assert np.all(inside >= 0.8 * len(errors)), inside
+
+
+@settings(max_examples=8, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_turning_the_box_turns_the_estimate_and_nothing_else(seed: int):
+    """However the box is held, the same drive gives the same answer: the estimator has no favourite axis."""
+    ticks, gnss = _invariant_drive()
+    R = random_rotation(np.random.default_rng(seed))
+    turned = replace(ticks, moment=ticks.moment @ R.T)
+    one, other = estimate(ticks, gnss), estimate(turned, gnss)
+    assert one.R_va is not None
+    assert other.R_va is not None
+    assert angle_between(other.R_va, one.R_va @ R.T) < np.radians(0.02)
+    np.testing.assert_allclose(other.sigma, one.sigma, rtol=0.02)
+    assert other.status == one.status
+
+
+@cache
+def _invariant_drive() -> tuple[Ticks, Gnss]:
+    drive, _ = simulate(Scenario(duration=90.0, accel_rate=50.0), seed=12)
+    return decimate(drive.inertial), drive.gnss
 
 
 def test_without_faults_only_the_crown_is_left():
