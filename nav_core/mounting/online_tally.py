@@ -9,6 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from nav_core.mounting.online_kernel import CLIPPED
 from nav_core.mounting.online_model import (
+    ACROSS,
+    ALONG,
     BROKEN,
     ELAPSED,
     GPS_CHANGE,
@@ -199,6 +201,11 @@ def mounting_of(filters: Filters) -> Floats:
 def widening(filters: Filters) -> float:
     """Factor on sigma by which the innovations exceed what the filter expected of them."""
     return float(np.sqrt(max(innovation_ratios(filters).max(), 1.0)))
+
+
+def strangeness(filters: Filters) -> float:
+    """How many times noisier than usual the data are to the likeliest filter, the worse of along and across."""
+    return widening(filters) * float(filters.scale[filters.best, [ALONG, ACROSS]].max())
 
 
 def innovation_ratios(filters: Filters) -> Floats:

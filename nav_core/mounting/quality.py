@@ -59,6 +59,7 @@ REASONS = {
     "slow_accelerometer": "The accelerometer gives only {} samples a second: vibration blurs it, and it takes longer.",
     "clock_jump": "The clock of the box jumped by {} s.",
     "clock_torn": "The clock of the box jumped back; {} s around it were left out.",
+    "clock_back": "The clock of the box jumped back by {} s: the estimate began anew.",
     "utc_jump": "The receiver's UTC jumped by {} s against the clock of the box.",
     "aboard": "For {} min the vehicle was carried, by a ferry or a train; this was left out.",
     "carried": "For a while the vehicle sat differently and came back: was it carried or towed?",

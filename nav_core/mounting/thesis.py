@@ -25,7 +25,9 @@ from nav_core.mounting.thesis_model import (
     errata_named,
     measurement_vectors,
 )
+from nav_core.mounting.trouble import wrong_unit
 from nav_core.records import Drive, MountingEstimate, Reason, SelfTest
+from nav_core.signal import decimate
 from nav_core.typing import Floats
 
 LEVELLING = 5.0
@@ -214,6 +216,9 @@ def estimate_thesis(drive: Drive, *, errata: ErrataName | Errata = "corrected") 
         box's yaw from the vehicle's.  The covariance is the filter's own, which knows nothing of accelerometer
         bias and of the road's persistent bank.
     """
+    refused = wrong_unit(decimate(drive.inertial))
+    if refused is not None:
+        return MountingEstimate("insufficient", "mekf", reasons=(refused,))
     try:
         run = run_thesis(drive, errata=errata)
     except TooLittleDataError:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -27,7 +28,17 @@ from nav_core.mounting.quality import (
 from nav_core.mounting.refine import Fit
 from nav_core.mounting.self_test import self_test
 from nav_core.mounting.stretch import Record, prepare, usable_fixes
-from nav_core.mounting.trouble import BENDS, HANDED, MIRRORED, TRUSTED_AFTER, came_back, handedness, inspect, late
+from nav_core.mounting.trouble import (
+    BENDS,
+    HANDED,
+    MIRRORED,
+    TRUSTED_AFTER,
+    came_back,
+    explained,
+    handedness,
+    inspect,
+    late,
+)
 from nav_core.records import Gnss, MountingChange, MountingEstimate, Reason
 from nav_core.rotation import angle_between
 from nav_core.signal import Ticks
@@ -93,7 +104,10 @@ def analyse(ticks: Ticks, gnss: Gnss, *, noise: Noise | None = None) -> Analysis
     verdict = before_fit(last.record, offered) or after_fit(last.solution.start, found, offered)
     if verdict.status in ("insufficient", "not_fixed"):
         unlike_a_car = any(each.code == "mismatch" for each in verdict.reasons)
-        return Analysis(_without(LOOSE if changes and unlike_a_car else verdict, changes, remarks), None)
+        if changes and unlike_a_car:
+            verdict = LOOSE
+        found_wanting = _without(verdict, changes, remarks)
+        return Analysis(replace(found_wanting, reasons=explained(found_wanting.reasons, ticks)), None)
     trusted = not bends and offered.moving > TRUSTED_AFTER
     if trusted:
         remarks += (reason("handedness_trusted"),)
