@@ -22,11 +22,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from nav_core.mounting.model import GRAVITY, MILLI_G
 from nav_core.rotation import skew
 from nav_core.typing import Flags, Floats
-
-GRAVITY = 9.80665
-MILLI_G = 1e-3 * GRAVITY
 
 # The states.
 SPEED, CLIMB, SLOPE, CURVE, HEIGHT, SPEED_ERROR, HEIGHT_ERROR, TRACK, BANK, ACROSS_ERROR = range(10)

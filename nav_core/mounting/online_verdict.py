@@ -4,24 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from nav_core.mounting.confidence import observability
+from nav_core.mounting.confidence import CONVERGED, STEADY, STEADY_SPAN, observability
+from nav_core.mounting.model import GRAVITY
 from nav_core.mounting.moved import LEAST_ANGLE
 from nav_core.mounting.online import LEAST_TICKS, LISTEN, MISMATCH, OnlineState, advance, begin, settled
-from nav_core.mounting.online_model import BIAS, GRAVITY, SPEED_LAG, Filters
+from nav_core.mounting.online_model import BIAS, SPEED_LAG, Filters
 from nav_core.mounting.online_stream import chunks_of
-from nav_core.mounting.online_tally import CONVERGED, covariance_of, mounting_of, recent_test, restlessness, strangeness
-from nav_core.mounting.quality import reason
+from nav_core.mounting.online_tally import covariance_of, mounting_of, recent_test, restlessness, strangeness
+from nav_core.mounting.quality import LAG_KNOWN, MIN_EVENTFUL, MIN_MOVING, USELESS, missing, progress_of, reason
 from nav_core.mounting.trouble import explained, wrong_unit
 from nav_core.records import Drive, MountingChange, MountingEstimate, Reason
 from nav_core.rotation import angle_between
 from nav_core.typing import Floats
-
-MIN_MOVING = 15.0
-MIN_EVENTFUL = 8.0
-"""Least time in motion, and with noticeable acceleration, along or across, s."""
-
-USELESS = np.radians(15.0)
-"""An axis with a larger sigma is not known at all, rad."""
 
 ROUGH = 3.0
 """How many times the usual noise is called rough."""
@@ -31,12 +25,6 @@ RESTLESS = 2.0
 
 NO_GRAVITY = 0.5 * GRAVITY
 """A vertical bias beyond this is none, m/s²."""
-
-STEADY, STEADY_SPAN = np.radians(0.7), 60.0
-"""Stable: the mounting of `STEADY_SPAN` seconds ago lies within this, rad."""
-
-LAG_KNOWN = 0.25
-"""A lag with a larger sigma is not reported, s."""
 
 STRIDE = 60.0
 """Length of the chunks in which `estimate` feeds a recording, s."""
@@ -67,17 +55,17 @@ def assess(state: OnlineState) -> MountingEstimate:
     covariance = covariance_of(filters, tally)
     sigma = np.sqrt(np.diag(covariance))
     eventful = tally.along + tally.across
-    progress = min(float(np.min(np.minimum((CONVERGED / sigma) ** 2, 1.0))), eventful / MIN_EVENTFUL, 1.0)
+    progress = progress_of(sigma, eventful)
     strange = strangeness(filters)
     foreign = _foreign(filters, strange)
     if foreign is not None:
         reasons = (foreign,) if state.ticks is None else explained((foreign,), state.ticks)
         return _without(min(progress, 0.2), reasons, state)
     if not settled(filters) or sigma.max() > USELESS:
-        return _without(min(progress, 0.2), _missing(state, sigma), state)
+        return _without(min(progress, 0.2), missing(sigma, tally.along, tally.turned), state)
     restless = bool(restlessness(tally).max() > RESTLESS) or state.watch.suspicious
     ready = bool(sigma.max() < CONVERGED) and eventful >= MIN_EVENTFUL and not restless
-    reasons = () if ready else (reason("contradiction"),) if restless else _missing(state, sigma)
+    reasons = () if ready else (reason("contradiction"),) if restless else missing(sigma, tally.along, tally.turned)
     if not ready and strange > ROUGH:
         reasons = (*reasons, reason("rough"))
     known = np.sqrt(np.diag(filters.P[filters.best])[SPEED_LAG : SPEED_LAG + 2]) < LAG_KNOWN
@@ -134,16 +122,6 @@ def _is_stable(state: OnlineState) -> bool:
     if not before.size:
         return False
     return angle_between(before[-1, 1:10].reshape(3, 3), trail[-1, 1:10].reshape(3, 3)) < STEADY
-
-
-def _missing(state: OnlineState, sigma: Floats) -> tuple[Reason, ...]:
-    """What would help."""
-    codes: list[str] = []
-    if sigma[1] > CONVERGED or state.tally.along < MIN_EVENTFUL:
-        codes.append("few_events")
-    if max(sigma[0], sigma[2]) > CONVERGED and state.tally.turned < np.pi:
-        codes.append("no_turns")
-    return tuple(reason(code) for code in codes or ["keep_driving"])
 
 
 def _without(progress: float, reasons: tuple[Reason, ...], state: OnlineState) -> MountingEstimate:

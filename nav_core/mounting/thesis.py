@@ -11,6 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from nav_core.errors import TooLittleDataError
+from nav_core.mounting.confidence import CONVERGED
 from nav_core.mounting.thesis_flow import TEST_DURATION, WINDOW, FlowChart, follow_flow_chart
 from nav_core.mounting.thesis_kernel import N_STATES, filter_drive, restart_vehicle
 from nav_core.mounting.thesis_model import (
@@ -32,9 +33,6 @@ from nav_core.typing import Floats
 
 LEVELLING = 5.0
 """s of specific force that level the corrected start."""
-
-CONVERGED = np.radians(2.0)
-"""rad; the sigma of `converged_after`."""
 
 SURE = np.radians(5.0)
 """rad; a mounting with a larger sigma about any axis is not ready, whatever the program's flags say."""

@@ -19,16 +19,15 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from nav_core.mounting.closed_form import level_basis
-from nav_core.mounting.confidence import observability
-from nav_core.mounting.quality import reason
+from nav_core.mounting.confidence import CONVERGED, observability
+from nav_core.mounting.model import GRAVITY
+from nav_core.mounting.quality import USELESS, reason
 from nav_core.mounting.stretch import Record, at, gps_rate, integrate, prepare, unrolled, usable_fixes
 from nav_core.mounting.trouble import explained, wrong_unit
 from nav_core.records import Drive, MountingEstimate, Reason
 from nav_core.rotation import skew
 from nav_core.signal import decimate
 from nav_core.typing import Flags, Floats
-
-GRAVITY = 9.80665
 
 REACH = 1.0
 """Rates of the receiver and means of the specific force reach this far to either side, s."""
@@ -52,8 +51,6 @@ KNOWN_ROAD = np.radians(0.3)
 CROWN = np.radians(0.8)
 BIAS = 6e-3 * GRAVITY
 """What no amount of driving averages out: a mean sideways tilt, rad, and the accelerometer's bias, m/s²."""
-
-CONVERGED, USELESS = np.radians(2.0), np.radians(15.0)
 
 SHORT_OF = 0.3
 """By this share the felt acceleration may differ from the receiver's."""

@@ -13,6 +13,7 @@ from nav_core.mounting.confidence import assess
 from nav_core.mounting.model import COURSE_LAG, SPEED_LAG, Noise, less_crown
 from nav_core.mounting.moved import Piece, pieces_of
 from nav_core.mounting.quality import (
+    LAG_KNOWN,
     SWAY,
     WANDER,
     Verdict,
@@ -42,9 +43,6 @@ from nav_core.mounting.trouble import (
 from nav_core.records import Gnss, MountingChange, MountingEstimate, Reason
 from nav_core.rotation import angle_between
 from nav_core.signal import Ticks
-
-LAG_KNOWN = 0.25
-"""A lag with a larger sigma is not reported, s."""
 
 LOOSE = Verdict("not_fixed", 0.0, False, (reason("loose"),))
 
