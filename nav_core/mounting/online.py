@@ -38,12 +38,12 @@ from nav_core.mounting.online_model import (
     prior_sigma,
 )
 from nav_core.mounting.online_rows import HORIZON, SLOWEST, Place, ready_fixes, records_of, rows_of
-from nav_core.mounting.online_stream import Chunk, fixes_where, joined, ticks_since
+from nav_core.mounting.online_stream import Chunk, fixes_where, joined, jumped_back, ticks_since
 from nav_core.mounting.online_tally import PIECE, Tally, innovation_ratios, moved_on, noted, piece_of, strangeness
 from nav_core.mounting.online_watch import Move, Watch, looked_after
 from nav_core.mounting.quality import reason
 from nav_core.mounting.stretch import Fixes, Record, gps_rate, unrolled
-from nav_core.mounting.trouble import JUMP, wrong_unit
+from nav_core.mounting.trouble import wrong_unit
 from nav_core.records import Gnss, Reason
 from nav_core.signal import Ticks, merge
 from nav_core.typing import Floats, Integers
@@ -53,9 +53,6 @@ LISTEN = 8.0
 
 LEAST_TICKS = 20
 """Fewer hold no specific force to level by."""
-
-WELL_BEFORE = 10.0
-"""A chunk that begins so long before the last fix tells of another clock, s."""
 
 WAIT = 120.0
 """How much of the raw stream is kept while nothing can start, s."""
@@ -148,7 +145,7 @@ def advance(state: OnlineState, chunk: Chunk) -> OnlineState:
     state : OnlineState
     chunk : Chunk
         Later than all before.  The pieces of a stream may be cut anywhere; fixes that are not later than
-        those worked off are left out.  One that begins `WELL_BEFORE` the last fix, and is not one sent again by
+        those worked off are left out.  One that begins well before the last fix (`jumped_back`), and is not one sent again by
         its UTC, comes after a jump of the box clock: the estimate begins anew and says so.
 
     Returns
@@ -182,7 +179,7 @@ def advance_fleet(states: Sequence[OnlineState], chunks: Sequence[Chunk]) -> lis
 
 def _prepared(state: OnlineState, chunk: Chunk) -> _Work:
     """The stream as far as it is known, with the filters not yet moved."""
-    back = _jumped_back(state, chunk)
+    back = None if state.gnss is None else jumped_back(state.gnss, chunk.gnss)
     if back is not None:
         state = replace(begin(state.tuning), remarks=(reason("clock_back", f"{back:.0f}"),))
     ticks = chunk.ticks if state.ticks is None else merge([state.ticks, chunk.ticks])
@@ -195,27 +192,6 @@ def _prepared(state: OnlineState, chunk: Chunk) -> _Work:
         felt = float(record.t[-1]) - 0.3 + HORIZON
         heard = min(last, felt) if felt > last - 5.0 else last
     return _Work(replace(state, ticks=ticks, spin=spin, gnss=gnss), record, spins, heard, np.empty((0, N_COLUMNS)))
-
-
-def _jumped_back(state: OnlineState, chunk: Chunk) -> float | None:
-    """By how much the box clock jumped back before a chunk, s; None if it did not.
-
-    Fixes of the same UTC by the box clock as before were merely sent again.
-    """
-    if state.gnss is None or not state.gnss.t.size or not chunk.gnss.t.size:
-        return None
-    back = float(state.gnss.t[-1] - chunk.gnss.t[0])
-    if back < WELL_BEFORE:
-        return None
-    was, now = _utc_at_boot(state.gnss), _utc_at_boot(chunk.gnss)
-    return back if was is None or now is None or abs(now - was) > JUMP else None
-
-
-def _utc_at_boot(gnss: Gnss) -> float | None:
-    """UTC less box clock, s."""
-    if gnss.utc is None or not np.isfinite(gnss.utc).any():
-        return None
-    return float(np.nanmedian(gnss.utc - gnss.t))
 
 
 def _next_piece(work: _Work) -> bool:

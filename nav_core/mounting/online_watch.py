@@ -21,6 +21,9 @@ from nav_core.typing import Floats
 TERM = 180.0
 """s of driving after which the second filter forgets again."""
 
+LONGEST_TERM = 360.0
+"""While it speaks against the mounting it goes on for so long, s of driving, to be proved right or wrong."""
+
 LEAST = 20.0
 """s of driving before it is asked."""
 
@@ -117,13 +120,14 @@ def looked_after(watch: Watch, filters: Filters, tally: Tally, tuning: Tuning, t
     if watch.second is not None and watch.anchor is not None:
         if age > LEAST:
             watch = _compared(watch, watch.second, watch.anchor, age, t)
-        if age < TERM or watch.suspicious:
+        if age < (LONGEST_TERM if watch.suspicious else TERM):
             return watch
     covariance = covariance_of(filters, tally)
     if np.diag(covariance).max() > KNOWN_TO**2:
         return watch
     now = Known(t, mounting_of(filters), covariance)
-    return Watch(_forgetful(filters, tuning), now, watch.begun or now, tally.driven, quiet=t)
+    # A suspicion stays until the next one has been asked.
+    return Watch(_forgetful(filters, tuning), now, watch.begun or now, tally.driven, watch.doubt, watch.angle, quiet=t)
 
 
 def _forgetful(filters: Filters, tuning: Tuning) -> Filters:
