@@ -145,8 +145,8 @@ def advance(state: OnlineState, chunk: Chunk) -> OnlineState:
     state : OnlineState
     chunk : Chunk
         Later than all before.  The pieces of a stream may be cut anywhere; fixes that are not later than
-        those worked off are left out.  One that begins well before the last fix (`jumped_back`), and is not one sent again by
-        its UTC, comes after a jump of the box clock: the estimate begins anew and says so.
+        those worked off are left out.  One that comes after a jump back of the box clock (`jumped_back`) begins
+        the estimate anew, and the estimate says so.
 
     Returns
     -------
