@@ -13,11 +13,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from nav_core.mounting.model import GRAVITY
 from nav_core.mounting.stretch import FOLLOW_SPEED, Fixes, Record, Span
 from nav_core.signal import Ticks
 from nav_core.typing import Flags, Floats
-
-GRAVITY = 9.80665
 
 VIOLENT = 0.8 * GRAVITY
 """Root mean square of force about its surroundings, within one tick, that ordinary driving does not reach, m/s²."""

@@ -223,6 +223,8 @@ def _moment(record: Record, when: float, before: Fit, after: Fit, noise: Noise) 
     there every stretch begins anew, so that what the wrong mounting did to the state ends with it.
     """
     near = between(record, when - NEIGHBOURHOOD, when + NEIGHBOURHOOD)
+    if near.fixes.t.size < 2:
+        return when  # in a long tunnel: no fix is near enough to tell
     turn = Rotation.from_matrix(after.R_va @ before.R_va.T).as_rotvec()
     small = float(np.linalg.norm(turn)) < LINEAR
     lags = (before.speed_lag, before.course_lag)

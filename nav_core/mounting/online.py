@@ -38,15 +38,24 @@ from nav_core.mounting.online_model import (
     prior_sigma,
 )
 from nav_core.mounting.online_rows import HORIZON, SLOWEST, Place, ready_fixes, records_of, rows_of
-from nav_core.mounting.online_stream import Chunk, fixes_where, joined, ticks_since
-from nav_core.mounting.online_tally import PIECE, Tally, innovation_ratios, moved_on, noted, piece_of
+from nav_core.mounting.online_stream import Chunk, fixes_where, joined, jumped_back, ticks_since
+from nav_core.mounting.online_tally import PIECE, Tally, innovation_ratios, moved_on, noted, piece_of, strangeness
+from nav_core.mounting.online_watch import Move, Watch, looked_after
+from nav_core.mounting.quality import reason
 from nav_core.mounting.stretch import Fixes, Record, gps_rate, unrolled
-from nav_core.records import Gnss
+from nav_core.mounting.trouble import wrong_unit
+from nav_core.records import Gnss, Reason
 from nav_core.signal import Ticks, merge
 from nav_core.typing import Floats, Integers
 
 LISTEN = 8.0
 """Specific force is heard for this long before it levels the start, s."""
+
+LEAST_TICKS = 20
+"""Fewer hold no specific force to level by."""
+
+WAIT = 120.0
+"""How much of the raw stream is kept while nothing can start, s."""
 
 KEEP = 6.0
 """How much of the raw stream before the last fix a state carries, s."""
@@ -59,6 +68,9 @@ SURE_YAW = 0.12
 
 ADAPTED_AFTER = 20.0
 """s of driving before the innovations say how rough it is."""
+
+MISMATCH = 10.0
+"""So many times the usual noise are no longer that of a box fixed in a car."""
 
 ROUGHEST = 20.0
 """Most that noise is scaled by."""
@@ -86,6 +98,12 @@ class OnlineState:
         The end of the raw stream that is still needed.
     tally : Tally
         What the drive has offered and how the estimate has developed.
+    watch : Watch
+        Over the box staying where it is.
+    moves : tuple of Move
+        After each of which the estimate began anew.
+    remarks : tuple of Reason
+        What happened to the stream.
     """
 
     tuning: Tuning = field(default_factory=Tuning)
@@ -97,6 +115,9 @@ class OnlineState:
     spin: Ticks | None = None
     gnss: Gnss | None = None
     tally: Tally = field(default_factory=Tally)
+    watch: Watch = field(default_factory=Watch)
+    moves: tuple[Move, ...] = ()
+    remarks: tuple[Reason, ...] = ()
 
 
 @dataclass(slots=True)
@@ -124,7 +145,8 @@ def advance(state: OnlineState, chunk: Chunk) -> OnlineState:
     state : OnlineState
     chunk : Chunk
         Later than all before.  The pieces of a stream may be cut anywhere; fixes that are not later than
-        those worked off are left out.
+        those worked off are left out.  One that comes after a jump back of the box clock (`jumped_back`) begins
+        the estimate anew, and the estimate says so.
 
     Returns
     -------
@@ -157,6 +179,9 @@ def advance_fleet(states: Sequence[OnlineState], chunks: Sequence[Chunk]) -> lis
 
 def _prepared(state: OnlineState, chunk: Chunk) -> _Work:
     """The stream as far as it is known, with the filters not yet moved."""
+    back = None if state.gnss is None else jumped_back(state.gnss, chunk.gnss)
+    if back is not None:
+        state = replace(begin(state.tuning), remarks=(reason("clock_back", f"{back:.0f}"),))
     ticks = chunk.ticks if state.ticks is None else merge([state.ticks, chunk.ticks])
     spin = chunk.spin if state.spin is None else state.spin if chunk.spin is None else merge([state.spin, chunk.spin])
     gnss = chunk.gnss if state.gnss is None else joined(state.gnss, chunk.gnss)
@@ -175,11 +200,14 @@ def _next_piece(work: _Work) -> bool:
     ready = ready_fixes(record.fixes, -np.inf if state.place is None else state.place.fix, work.heard)
     if not ready.any():
         return False
-    if state.filters is None and work.heard - float(record.fixes.t[0]) < LISTEN:
+    if state.filters is None and not _may_start(work):
         return False
     since = float(record.fixes.t[np.argmax(ready)])
     if state.place is not None and piece_of(since) > piece_of(state.place.fix):
         state = _looked_at(state)
+        move = _move(state, since)
+        if move is not None:
+            return _next_piece(_after(move, work, since))
     edge = (piece_of(since) + 1.0) * PIECE
     ready &= record.fixes.t < edge
     window = _window(record, since - KEEP, edge + HORIZON)
@@ -192,6 +220,14 @@ def _next_piece(work: _Work) -> bool:
     work.rows = rows
     work.state = replace(state, filters=filters, place=place)
     return True
+
+
+def _may_start(work: _Work) -> bool:
+    """Whether enough has been heard, and of the right kind."""
+    record, ticks = work.record, work.state.ticks
+    if work.heard - float(record.fixes.t[0]) < LISTEN or record.t.size < LEAST_TICKS or ticks is None:
+        return False
+    return wrong_unit(ticks) is None
 
 
 def _starts(record: Record, lags: tuple[float, float]) -> Floats:
@@ -221,7 +257,11 @@ def _window(record: Record, begin: float, end: float) -> Record:
 
 def _run_piece(works: list[_Work]) -> None:
     """Run all boxes' filters over their rows in one call, and take notes."""
-    stacked, first, last, rows = stack([work.state.filters for work in works], [work.rows for work in works])
+    watched = [work for work in works if work.state.watch.second is not None]
+    stacked, first, last, rows = stack(
+        [*(work.state.filters for work in works), *(work.state.watch.second for work in watched)],
+        [work.rows for work in (*works, *watched)],
+    )
     steps = last - first
     trace = np.zeros((int(steps.sum()), 4))
     run(stacked, rows, first, last, works[0].state.tuning, trace)
@@ -241,6 +281,9 @@ def _run_piece(works: list[_Work]) -> None:
             tally = moved_on(tally, work.state.filters, filters)
         work.state = replace(work.state, filters=filters, tally=tally)
         begin = end
+    for place, work in enumerate(watched, begin):
+        second = Filters(*(column[place : place + 1] for column in stacked))
+        work.state = replace(work.state, watch=work.state.watch._replace(second=second))
 
 
 def settled(filters: Filters) -> bool:
@@ -266,15 +309,59 @@ def _looked_at(state: OnlineState) -> OnlineState:
     best = filters.best
     shift = np.clip(filters.x[best, [SPEED_LAG, COURSE_LAG]], -LAG_STEP, LAG_STEP)
     lags = np.clip(np.add(state.lags, shift), 0.0, LONGEST_LAG)
-    x, P = filters.x.copy(), filters.P.copy()
-    x[:, [SPEED_LAG, COURSE_LAG]] -= lags - state.lags
     bias = _likely_bias(state, filters, best)
-    for axis in (BIAS, BIAS + 1):
-        P[:, axis, axis] += bias**2 - state.bias**2
-    filters = filters._replace(x=x, P=P)
+
+    def shifted(these: Filters) -> Filters:
+        x, P = these.x.copy(), these.P.copy()
+        x[:, [SPEED_LAG, COURSE_LAG]] -= lags - state.lags
+        for axis in (BIAS, BIAS + 1):
+            P[:, axis, axis] += bias**2 - state.bias**2
+        return these._replace(x=x, P=P)
+
+    filters, watch = shifted(filters), state.watch
+    if watch.second is not None:
+        watch = watch._replace(second=_adapted(shifted(watch.second), state.tuning))
     if settled(filters) and state.tally.driven > ADAPTED_AFTER:
         filters = _adapted(filters, state.tuning)
-    return replace(state, filters=filters, lags=(float(lags[0]), float(lags[1])), bias=bias)
+        if not filters.mirrored[filters.best]:
+            watch = looked_after(watch, filters, state.tally, state.tuning, float(state.tally.trail[-1, 0]))
+    return replace(state, filters=filters, lags=(float(lags[0]), float(lags[1])), bias=bias, watch=watch)
+
+
+def _move(state: OnlineState, now: float) -> Move | None:
+    """The move of the box that has come out by now, if one has.
+
+    Where the data stop being those of a box fixed in a car, the filter can no longer say by how much.
+    """
+    anchor = state.watch.anchor
+    if anchor is None or state.filters is None:
+        return None
+    if state.watch.moved:
+        return Move(state.watch.quiet, anchor.R_va, state.watch.angle)
+    return Move(now, anchor.R_va, 0.0) if strangeness(state.filters) > MISMATCH else None
+
+
+def _after(move: Move, work: _Work, now: float) -> _Work:
+    """The same box from a box time on, its mounting unknown."""
+    state = work.state
+    assert state.ticks is not None
+    assert state.gnss is not None
+    ticks, gnss = ticks_since(state.ticks, now - LONGEST_LAG), fixes_where(state.gnss, state.gnss.t >= now)
+    spin = None if state.spin is None else ticks_since(state.spin, now - LONGEST_LAG)
+    work.state = OnlineState(
+        state.tuning,
+        None,
+        state.lags,
+        state.bias,
+        None,
+        ticks,
+        spin,
+        gnss,
+        moves=(*state.moves, move),
+        remarks=state.remarks,
+    )
+    work.record, work.spin = records_of(ticks, spin, gnss)
+    return work
 
 
 def _adapted(filters: Filters, tuning: Tuning) -> Filters:
@@ -331,9 +418,13 @@ def _likely(filters: Filters) -> Filters:
 
 def _trimmed(state: OnlineState) -> OnlineState:
     """Without what will not be needed again of the raw stream."""
-    if state.place is None or state.ticks is None or state.gnss is None:
+    if state.ticks is None or state.gnss is None:
         return state
-    since = state.place.fix - KEEP
+    if state.place is None:
+        ends = [float(t[-1]) for t in (state.ticks.t, state.gnss.t) if t.size]
+        since = max(ends, default=0.0) - WAIT
+    else:
+        since = state.place.fix - KEEP
     spin = state.spin
     return replace(
         state,

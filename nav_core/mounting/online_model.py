@@ -22,11 +22,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from nav_core.mounting.model import GRAVITY, Noise
 from nav_core.rotation import skew
 from nav_core.typing import Flags, Floats
-
-GRAVITY = 9.80665
-MILLI_G = 1e-3 * GRAVITY
 
 # The states.
 SPEED, CLIMB, SLOPE, CURVE, HEIGHT, SPEED_ERROR, HEIGHT_ERROR, TRACK, BANK, ACROSS_ERROR = range(10)
@@ -60,50 +58,54 @@ OF_SPEED, OF_HEIGHT, OF_CLIMB, OF_COURSE, OF_SIDE = range(5)
 N_KINDS = 5
 
 
+_KNOWN = Noise()
+
+
 class Tuning(NamedTuple):
     """What to expect of cars, roads, receivers and boxes; SI units, 1 sigma.
 
-    The same figures as the whole-drive estimator's `Noise`, and as generous.
+    What the whole-drive estimator's `Noise` knows as well is taken from there; only the lag's deviation is its own:
+    the lags at which the rows stand move no faster than the filter learns them.
     """
 
-    speed_white: float = 0.06
-    speed_slow: float = 0.06
-    across_white: float = 0.06
-    across_slow: float = 0.06
+    speed_white: float = _KNOWN.speed_white
+    speed_slow: float = _KNOWN.speed_slow
+    across_white: float = _KNOWN.across_white
+    across_slow: float = _KNOWN.across_slow
     """m/s."""
-    slow_time: float = 4.0
+    slow_time: float = _KNOWN.slow_time
     """s."""
-    height_white: float = 0.5
-    height_slow: float = 3.0
+    height_white: float = _KNOWN.height_white
+    height_slow: float = _KNOWN.height_slow
     """m."""
-    slope: float = 0.03
-    slope_length: float = 80.0
-    bank: float = 0.8 * np.pi / 180.0
-    bank_length: float = 80.0
+    slope: float = _KNOWN.slope
+    slope_length: float = _KNOWN.slope_length
+    bank: float = _KNOWN.bank
+    bank_length: float = _KNOWN.bank_length
     """rad and m."""
-    force: float = 0.025
+    force: float = _KNOWN.force
     """(m/s²)/√Hz."""
-    relative: float = 0.01
-    relative_turn: float = 0.01
-    heave: float = 0.03
+    relative: float = _KNOWN.relative
+    relative_turn: float = _KNOWN.relative_turn
+    heave: float = _KNOWN.heave
     """m/s."""
     gyro: float = 0.003
     """Of the integrated rate, with the body's own movement on its springs, rad/√s."""
     gyro_bias: float = 0.02
     gyro_drift: float = 1e-5
     """rad/s and (rad/s)/√s."""
-    bias: float = 6.0 * MILLI_G
-    drift: float = 3.0 * MILLI_G / np.sqrt(300.0)
+    bias: float = _KNOWN.bias
+    drift: float = _KNOWN.drift
     """m/s² and (m/s²)/√s."""
-    pitch_gain: float = 0.04
-    pitch_gain_sigma: float = 0.02
-    roll_gain: float = 0.07
-    roll_gain_sigma: float = 0.03
+    pitch_gain: float = _KNOWN.pitch_gain[0]
+    pitch_gain_sigma: float = _KNOWN.pitch_gain[1]
+    roll_gain: float = _KNOWN.roll_gain[0]
+    roll_gain_sigma: float = _KNOWN.roll_gain[1]
     """Body pitch and roll per g: expected value and deviation from it."""
-    lever: float = 1.0
-    lever_sigma: float = 0.8
+    lever: float = _KNOWN.lever[0]
+    lever_sigma: float = _KNOWN.lever[1]
     """m."""
-    lag: float = 0.3
+    lag: float = _KNOWN.lag[0]
     lag_sigma: float = 0.3
     """s."""
     rest: float = 0.05

@@ -7,9 +7,13 @@ from itertools import pairwise
 
 import numpy as np
 
+from nav_core.mounting.trouble import JUMP
 from nav_core.records import Drive, Gnss, Inertial
 from nav_core.signal import Ticks, decimate
 from nav_core.typing import Flags, Floats
+
+WELL_BEFORE = 10.0
+"""Fixes that begin so long before the last one tell of another clock, s."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,6 +85,27 @@ def joined(before: Gnss, after: Gnss) -> Gnss:
         fix=np.concatenate([before.fix, after.fix[later]]),
         utc=utc,
     )
+
+
+def jumped_back(before: Gnss, after: Gnss) -> float | None:
+    """By how much the box clock jumped back between fixes and those that follow, s; None if it did not.
+
+    Fixes of the same UTC by the box clock as before were merely sent again.
+    """
+    if not before.t.size or not after.t.size:
+        return None
+    back = float(before.t[-1] - after.t[0])
+    if back < WELL_BEFORE:
+        return None
+    was, now = _utc_at_boot(before), _utc_at_boot(after)
+    return back if was is None or now is None or abs(now - was) > JUMP else None
+
+
+def _utc_at_boot(gnss: Gnss) -> float | None:
+    """UTC less box clock, s."""
+    if gnss.utc is None or not np.isfinite(gnss.utc).any():
+        return None
+    return float(np.nanmedian(gnss.utc - gnss.t))
 
 
 def ticks_since(ticks: Ticks, t: float) -> Ticks:

@@ -7,8 +7,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from nav_core.mounting.confidence import CONVERGED
 from nav_core.mounting.online_kernel import CLIPPED
 from nav_core.mounting.online_model import (
+    ACROSS,
+    ALONG,
     BROKEN,
     ELAPSED,
     GPS_CHANGE,
@@ -21,6 +24,7 @@ from nav_core.mounting.online_model import (
     TURNED,
     Filters,
 )
+from nav_core.mounting.quality import NOTICEABLE
 from nav_core.mounting.self_test import DURATION, LIMIT
 from nav_core.records import SelfTest
 from nav_core.typing import Floats
@@ -31,16 +35,12 @@ PIECE = 5.0
 MOVING = 2.0
 """m/s."""
 
-NOTICEABLE = 0.35
-"""m/s²."""
-
 FLOOR = np.radians(0.1)
 """What a box's triad and a car's springs do that the model does not know, rad per axis."""
 
 CROWN = np.radians(0.8)
 """Mean sideways tilt of a drive's roads: part of the mounting for all the data can tell, rad."""
 
-CONVERGED = np.radians(2.0)
 SHORT = 20.0
 """A road of this many seconds is one sample of what roads are like: sigma is widened by ``sqrt(1 + SHORT / T)``."""
 
@@ -199,6 +199,11 @@ def mounting_of(filters: Filters) -> Floats:
 def widening(filters: Filters) -> float:
     """Factor on sigma by which the innovations exceed what the filter expected of them."""
     return float(np.sqrt(max(innovation_ratios(filters).max(), 1.0)))
+
+
+def strangeness(filters: Filters) -> float:
+    """How many times noisier than usual the data are to the likeliest filter, the worse of along and across."""
+    return widening(filters) * float(filters.scale[filters.best, [ALONG, ACROSS]].max())
 
 
 def innovation_ratios(filters: Filters) -> Floats:

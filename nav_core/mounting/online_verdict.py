@@ -4,43 +4,27 @@ from __future__ import annotations
 
 import numpy as np
 
-from nav_core.mounting.confidence import observability
-from nav_core.mounting.online import OnlineState, advance, begin, settled
-from nav_core.mounting.online_model import ACROSS, ALONG, BIAS, GRAVITY, SPEED_LAG, Filters
+from nav_core.mounting.confidence import CONVERGED, STEADY, STEADY_SPAN, observability
+from nav_core.mounting.model import GRAVITY
+from nav_core.mounting.moved import LEAST_ANGLE
+from nav_core.mounting.online import LEAST_TICKS, LISTEN, MISMATCH, OnlineState, advance, begin, settled
+from nav_core.mounting.online_model import BIAS, SPEED_LAG, Filters
 from nav_core.mounting.online_stream import chunks_of
-from nav_core.mounting.online_tally import CONVERGED, covariance_of, mounting_of, recent_test, restlessness, widening
-from nav_core.mounting.quality import reason
-from nav_core.records import Drive, MountingEstimate, Reason
+from nav_core.mounting.online_tally import covariance_of, mounting_of, recent_test, restlessness, strangeness
+from nav_core.mounting.quality import LAG_KNOWN, MIN_EVENTFUL, MIN_MOVING, USELESS, missing, progress_of, reason
+from nav_core.mounting.trouble import explained, wrong_unit
+from nav_core.records import Drive, MountingChange, MountingEstimate, Reason
 from nav_core.rotation import angle_between
 from nav_core.typing import Floats
 
-MIN_MOVING = 15.0
-MIN_EVENTFUL = 8.0
-"""Least time in motion, and with noticeable acceleration, along or across, s."""
-
-USELESS = np.radians(15.0)
-"""An axis with a larger sigma is not known at all, rad."""
-
-ROUGH, MISMATCH = 3.0, 10.0
-"""How many times the usual noise is called rough, and is no longer that of a box fixed in a car."""
+ROUGH = 3.0
+"""How many times the usual noise is called rough."""
 
 RESTLESS = 2.0
 """An estimate that moves this much more than its covariance admits contradicts itself."""
 
 NO_GRAVITY = 0.5 * GRAVITY
-"""A vertical bias beyond this is a wrong unit and no bias, m/s²."""
-
-MIRRORED = Reason(
-    "mirrored", "The accelerations fit a car only in a mirror: the box inverts their sign or has left-handed axes."
-)
-
-UNIT = Reason("unit", "The accelerometer does not show gravity: check the unit of its data.")
-
-STEADY, STEADY_SPAN = np.radians(0.7), 60.0
-"""Stable: the mounting of `STEADY_SPAN` seconds ago lies within this, rad."""
-
-LAG_KNOWN = 0.25
-"""A lag with a larger sigma is not reported, s."""
+"""A vertical bias beyond this is none, m/s²."""
 
 STRIDE = 60.0
 """Length of the chunks in which `estimate` feeds a recording, s."""
@@ -60,25 +44,28 @@ def assess(state: OnlineState) -> MountingEstimate:
         2°, the drive offered enough, and the receiver's data are those of a car.
     """
     tally, filters = state.tally, state.filters
+    refused = None if state.ticks is None else wrong_unit(state.ticks)
+    if refused is not None:
+        return _without(0.0, (refused,), state)
     if filters is None:
-        heard = state.gnss is not None and bool(np.any(state.gnss.fix))
-        return _without(0.0, (reason("few_fixes" if heard else "no_fix"),))
+        return _without(0.0, (reason(_not_begun(state)),), state)
     share = min(tally.moving / MIN_MOVING, 1.0)
     if share < 1.0:
-        return _without(0.1 * share, (reason("not_driven"),))
+        return _without(0.1 * share, (reason("not_driven"),), state)
     covariance = covariance_of(filters, tally)
     sigma = np.sqrt(np.diag(covariance))
     eventful = tally.along + tally.across
-    progress = min(float(np.min(np.minimum((CONVERGED / sigma) ** 2, 1.0))), eventful / MIN_EVENTFUL, 1.0)
-    strange = widening(filters) * float(filters.scale[filters.best, [ALONG, ACROSS]].max())
+    progress = progress_of(sigma, eventful)
+    strange = strangeness(filters)
     foreign = _foreign(filters, strange)
     if foreign is not None:
-        return _without(min(progress, 0.2), (foreign,))
+        reasons = (foreign,) if state.ticks is None else explained((foreign,), state.ticks)
+        return _without(min(progress, 0.2), reasons, state)
     if not settled(filters) or sigma.max() > USELESS:
-        return _without(min(progress, 0.2), _missing(state, sigma))
-    restless = bool(restlessness(tally).max() > RESTLESS)
+        return _without(min(progress, 0.2), missing(sigma, tally.along, tally.turned), state)
+    restless = bool(restlessness(tally).max() > RESTLESS) or state.watch.suspicious
     ready = bool(sigma.max() < CONVERGED) and eventful >= MIN_EVENTFUL and not restless
-    reasons = () if ready else (reason("contradiction"),) if restless else _missing(state, sigma)
+    reasons = () if ready else (reason("contradiction"),) if restless else missing(sigma, tally.along, tally.turned)
     if not ready and strange > ROUGH:
         reasons = (*reasons, reason("rough"))
     known = np.sqrt(np.diag(filters.P[filters.best])[SPEED_LAG : SPEED_LAG + 2]) < LAG_KNOWN
@@ -95,17 +82,37 @@ def assess(state: OnlineState) -> MountingEstimate:
         converged_after=tally.sure_since,
         speed_lag=state.lags[0] if known[0] else None,
         course_lag=state.lags[1] if known[1] else None,
-        reasons=reasons,
+        changes=_changes(state, mounting_of(filters)),
+        reasons=(*reasons, *state.remarks),
     )
+
+
+def _changes(state: OnlineState, present: Floats | None) -> tuple[MountingChange, ...]:
+    """The moves of the box; one after which it sat as before was none of the box's."""
+    after = [*(move.before for move in state.moves[1:]), present]
+    changes: list[MountingChange] = []
+    for move, R_va in zip(state.moves, after, strict=False):
+        if R_va is None and move.angle > 0.0:
+            changes.append(MountingChange(move.t, move.angle, move.before))
+        elif R_va is not None and (angle := angle_between(R_va, move.before)) > LEAST_ANGLE:
+            changes.append(MountingChange(move.t, angle, move.before, R_va))
+    return tuple(changes)
+
+
+def _not_begun(state: OnlineState) -> str:
+    """Why there is no filter yet."""
+    t = np.empty(0) if state.gnss is None else state.gnss.t[state.gnss.fix]
+    if not t.size:
+        return "no_fix"
+    deaf = state.ticks is None or state.ticks.t.size < LEAST_TICKS
+    return "no_accelerometer" if deaf and t[-1] - t[0] > LISTEN else "few_fixes"
 
 
 def _foreign(filters: Filters, strange: float) -> Reason | None:
     """Why the data are not those of a box fixed in a car, if they are not."""
-    if abs(filters.x[filters.best, BIAS + 2]) > NO_GRAVITY:
-        return UNIT
-    if strange > MISMATCH:
+    if strange > MISMATCH or abs(filters.x[filters.best, BIAS + 2]) > NO_GRAVITY:
         return reason("mismatch")
-    return MIRRORED if filters.mirrored[filters.best] else None
+    return reason("mirrored") if filters.mirrored[filters.best] else None
 
 
 def _is_stable(state: OnlineState) -> bool:
@@ -117,18 +124,11 @@ def _is_stable(state: OnlineState) -> bool:
     return angle_between(before[-1, 1:10].reshape(3, 3), trail[-1, 1:10].reshape(3, 3)) < STEADY
 
 
-def _missing(state: OnlineState, sigma: Floats) -> tuple[Reason, ...]:
-    """What would help."""
-    codes: list[str] = []
-    if sigma[1] > CONVERGED or state.tally.along < MIN_EVENTFUL:
-        codes.append("few_events")
-    if max(sigma[0], sigma[2]) > CONVERGED and state.tally.turned < np.pi:
-        codes.append("no_turns")
-    return tuple(reason(code) for code in codes or ["keep_driving"])
-
-
-def _without(progress: float, reasons: tuple[Reason, ...]) -> MountingEstimate:
-    return MountingEstimate("insufficient", "online", progress=progress, reasons=reasons)
+def _without(progress: float, reasons: tuple[Reason, ...], state: OnlineState) -> MountingEstimate:
+    changes = _changes(state, None)
+    return MountingEstimate(
+        "insufficient", "online", progress=progress, changes=changes, reasons=(*reasons, *state.remarks)
+    )
 
 
 def estimate(drive: Drive) -> MountingEstimate:

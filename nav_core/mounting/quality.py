@@ -28,6 +28,9 @@ NOTICEABLE = 0.35
 LIVELY = 0.7
 """Of the vigour of a drive in which slopes are no match for acceleration, m/s²."""
 
+LAG_KNOWN = 0.25
+"""A lag of the receiver with a larger sigma is not reported, s."""
+
 USELESS = np.radians(15.0)
 """An axis with a larger sigma is not known at all, rad."""
 
@@ -59,6 +62,7 @@ REASONS = {
     "slow_accelerometer": "The accelerometer gives only {} samples a second: vibration blurs it, and it takes longer.",
     "clock_jump": "The clock of the box jumped by {} s.",
     "clock_torn": "The clock of the box jumped back; {} s around it were left out.",
+    "clock_back": "The clock of the box jumped back by {} s: the estimate began anew.",
     "utc_jump": "The receiver's UTC jumped by {} s against the clock of the box.",
     "aboard": "For {} min the vehicle was carried, by a ferry or a train; this was left out.",
     "carried": "For a while the vehicle sat differently and came back: was it carried or towed?",
@@ -234,15 +238,15 @@ def after_fit(start: Start, found: Confidence, offered: Excitation) -> Verdict:
     """
     sigma = np.sqrt(np.diag(found.covariance))
     reliable = offered.along + offered.across >= MIN_EVENTFUL
-    progress = _progress(sigma, offered)
+    progress = progress_of(sigma, offered.along + offered.across)
     if sigma.max() > USELESS:
-        return Verdict("insufficient", min(progress, 0.2), reliable, _missing(sigma, offered))
+        return Verdict("insufficient", min(progress, 0.2), reliable, missing(sigma, offered.along, offered.turned))
     if not fits_a_car(start, offered):
         return Verdict("insufficient", min(progress, 0.2), False, (reason("mismatch"),))
     contradiction = bool(found.scatter.max() > 40.0)
     if sigma.max() < CONVERGED and reliable and not contradiction:
         return Verdict("ready", 1.0, True, ())
-    reasons = list(_missing(sigma, offered))
+    reasons = list(missing(sigma, offered.along, offered.turned))
     if contradiction:
         reasons.insert(0, reason("contradiction"))
     elif found.widening.max() > 2.0:
@@ -250,16 +254,30 @@ def after_fit(start: Start, found: Confidence, offered: Excitation) -> Verdict:
     return Verdict("settling", min(progress, 0.99), reliable, tuple(reasons))
 
 
-def _progress(sigma: Floats, offered: Excitation) -> float:
-    """Information grows with time: the share of it that is there, of the worst axis."""
+def progress_of(sigma: Floats, eventful: float) -> float:
+    """Information grows with time: the share of it that is there, of the worst axis.
+
+    Parameters
+    ----------
+    sigma : ndarray, shape (3,)
+        About the V axes, rad.
+    eventful : float
+        Time with noticeable acceleration along or across, s.
+
+    Returns
+    -------
+    float
+        0..1.
+    """
     share = float(np.min(np.minimum((CONVERGED / sigma) ** 2, 1.0)))
-    return min(share, (offered.along + offered.across) / MIN_EVENTFUL, 1.0)
+    return min(share, eventful / MIN_EVENTFUL, 1.0)
 
 
-def _missing(sigma: Floats, offered: Excitation) -> tuple[Reason, ...]:
+def missing(sigma: Floats, along: float, turned: float) -> tuple[Reason, ...]:
+    """What would help: sigma about the V axes, rad; time with noticeable acceleration along, s; all turning, rad."""
     codes: list[str] = []
-    if sigma[1] > CONVERGED or offered.along < MIN_EVENTFUL:
+    if sigma[1] > CONVERGED or along < MIN_EVENTFUL:
         codes.append("few_events")
-    if (sigma[0] > CONVERGED or sigma[2] > CONVERGED) and offered.turned < np.pi:
+    if max(sigma[0], sigma[2]) > CONVERGED and turned < np.pi:
         codes.append("no_turns")
     return tuple(reason(code) for code in codes or ["keep_driving"])

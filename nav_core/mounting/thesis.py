@@ -11,6 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from nav_core.errors import TooLittleDataError
+from nav_core.mounting.confidence import CONVERGED
 from nav_core.mounting.thesis_flow import TEST_DURATION, WINDOW, FlowChart, follow_flow_chart
 from nav_core.mounting.thesis_kernel import N_STATES, filter_drive, restart_vehicle
 from nav_core.mounting.thesis_model import (
@@ -25,14 +26,13 @@ from nav_core.mounting.thesis_model import (
     errata_named,
     measurement_vectors,
 )
+from nav_core.mounting.trouble import wrong_unit
 from nav_core.records import Drive, MountingEstimate, Reason, SelfTest
+from nav_core.signal import decimate
 from nav_core.typing import Floats
 
 LEVELLING = 5.0
 """s of specific force that level the corrected start."""
-
-CONVERGED = np.radians(2.0)
-"""rad; the sigma of `converged_after`."""
 
 SURE = np.radians(5.0)
 """rad; a mounting with a larger sigma about any axis is not ready, whatever the program's flags say."""
@@ -214,6 +214,9 @@ def estimate_thesis(drive: Drive, *, errata: ErrataName | Errata = "corrected") 
         box's yaw from the vehicle's.  The covariance is the filter's own, which knows nothing of accelerometer
         bias and of the road's persistent bank.
     """
+    refused = wrong_unit(decimate(drive.inertial))
+    if refused is not None:
+        return MountingEstimate("insufficient", "mekf", reasons=(refused,))
     try:
         run = run_thesis(drive, errata=errata)
     except TooLittleDataError:

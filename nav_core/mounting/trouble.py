@@ -41,6 +41,12 @@ SLOW_FIXES = 1.3
 SLOW_SAMPLES = 15.0
 """Hz; up to here named as slow."""
 
+TOO_SLOW = 5.0
+"""Hz; an accelerometer slower than this misses half of what a car does: then that is why it fits no car."""
+
+PAUSE = 10.0
+"""Longer than this between samples is a pause and no sampling, s."""
+
 LATE = 0.8
 """A receiver later than this is named, s."""
 
@@ -200,16 +206,32 @@ def unshaken(ticks: Ticks, fixes: Fixes) -> tuple[Span, ...]:
 
 
 def sampling_rate(ticks: Ticks) -> float:
-    """Samples per second of the accelerometer, from the weight of the ticks; 0 without any."""
+    """Samples per second of the accelerometer, from the weight of the ticks; 0 without any.
+
+    Where the samples are farther apart than the ticks, they are counted: the window's weights of one add up to half
+    its width.
+    """
     if ticks.weight.size == 0:
         return 0.0
-    return float(np.median(ticks.weight)) * ticks.rate / (0.5 * KERNEL_TICKS)
+    rate = float(np.median(ticks.weight)) * ticks.rate / (0.5 * KERNEL_TICKS)
+    if rate > 0.5 * ticks.rate:
+        return rate
+    span = float(np.minimum(np.diff(ticks.t), PAUSE).sum())
+    return float(ticks.weight.sum()) / (0.5 * KERNEL_TICKS) / max(span, 1.0)
 
 
 def slow_samples(ticks: Ticks) -> Reason | None:
     """Whether the accelerometer is slow."""
     rate = sampling_rate(ticks)
-    return reason("slow_accelerometer", f"{rate:.0f}") if 0.0 < rate < SLOW_SAMPLES else None
+    return reason("slow_accelerometer", f"{rate:.2g}") if 0.0 < rate < SLOW_SAMPLES else None
+
+
+def explained(reasons: tuple[Reason, ...], ticks: Ticks, code: str = "mismatch") -> tuple[Reason, ...]:
+    """The reasons, with an accelerometer that is too slow in place of the mismatch (or `code`) that it makes."""
+    slow = slow_samples(ticks)
+    if slow is None or code not in {each.code for each in reasons} or sampling_rate(ticks) >= TOO_SLOW:
+        return reasons
+    return (slow, *(each for each in reasons if each.code not in (code, slow.code)))
 
 
 def slow_fixes(gnss: Gnss) -> Reason | None:

@@ -19,15 +19,15 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from nav_core.mounting.closed_form import level_basis
-from nav_core.mounting.confidence import observability
-from nav_core.mounting.quality import reason
+from nav_core.mounting.confidence import CONVERGED, observability
+from nav_core.mounting.model import GRAVITY
+from nav_core.mounting.quality import USELESS, reason
 from nav_core.mounting.stretch import Record, at, gps_rate, integrate, prepare, unrolled, usable_fixes
+from nav_core.mounting.trouble import explained, wrong_unit
 from nav_core.records import Drive, MountingEstimate, Reason
 from nav_core.rotation import skew
 from nav_core.signal import decimate
 from nav_core.typing import Flags, Floats
-
-GRAVITY = 9.80665
 
 REACH = 1.0
 """Rates of the receiver and means of the specific force reach this far to either side, s."""
@@ -52,7 +52,8 @@ CROWN = np.radians(0.8)
 BIAS = 6e-3 * GRAVITY
 """What no amount of driving averages out: a mean sideways tilt, rad, and the accelerometer's bias, m/s²."""
 
-CONVERGED, USELESS = np.radians(2.0), np.radians(15.0)
+SHORT_OF = 0.3
+"""By this share the felt acceleration may differ from the receiver's."""
 
 LEAST = 3.0
 """Of either phase, s."""
@@ -91,7 +92,11 @@ def estimate(drive: Drive, road: Road | None = None) -> MountingEstimate:
         `converged_after` is that of the first time at which every sigma is under 2°, going through the drive
         in steps of 5 s.
     """
-    record = prepare(decimate(drive.inertial), usable_fixes(drive.gnss))
+    ticks = decimate(drive.inertial)
+    refused = wrong_unit(ticks)
+    if refused is not None:
+        return _without(0.0, refused)
+    record = prepare(ticks, usable_fixes(drive.gnss))
     if record.fixes.t.size < 3 or record.t.size < 20:
         code = "no_fix" if not record.fixes.t.size else "few_fixes" if record.t.size >= 20 else "no_accelerometer"
         return _without(0.0, reason(code))
@@ -100,11 +105,12 @@ def estimate(drive: Drive, road: Road | None = None) -> MountingEstimate:
     tilted = float(samples.span[steady].sum())
     shoved = float(samples.span[pushed].sum())
     progress = min(tilted / LEAST, 1.0) * (0.3 + 0.7 * min(shoved / LEAST, 1.0))
-    if tilted < LEAST:
-        return _without(0.9 * progress, reason("not_driven"))
-    if shoved < LEAST:
-        return _without(0.9 * progress, reason("few_events"))
+    if min(tilted, shoved) < LEAST:
+        why = reason("not_driven" if tilted < LEAST else "few_events")
+        return _without(0.9 * progress, *explained((why,), ticks, why.code))
     R_va, covariance = _solve(samples, steady, pushed, road)
+    if not _fits_a_car(samples, pushed, R_va, road):
+        return _without(0.0, *explained((reason("mismatch"),), ticks))
     sigma = np.sqrt(np.diag(covariance))
     if sigma.max() > USELESS:
         return _without(0.3, reason("few_events"))
@@ -180,6 +186,17 @@ def _solve(samples: _Samples, steady: Flags, pushed: Flags, road: Road | None) -
     return R_va, _covariance(samples, steady, pushed, samples.f[pushed] @ R_va.T - _gravity(road, pushed), road)
 
 
+def _fits_a_car(samples: _Samples, pushed: Flags, R_va: Floats, road: Road | None) -> bool:
+    """Whether the force along the travel grows with the receiver's acceleration, one for one."""
+    felt = (samples.f[pushed] @ R_va.T - _gravity(road, pushed))[:, 0]
+    a = samples.along[pushed]
+    weight = float(a @ a)
+    strength = float(a @ felt) / weight
+    independent = max(float(samples.span[pushed].sum()) / (2.0 * REACH), 1.0)
+    sigma = float(np.sqrt(np.mean((felt - strength * a) ** 2) * a.size / weight / independent))
+    return abs(strength - 1.0) < max(SHORT_OF, 3.0 * sigma)
+
+
 def _covariance(samples: _Samples, steady: Flags, pushed: Flags, felt: Floats, road: Road | None) -> Floats:
     """Slope and bank are one draw every `LONG` metres; bias and crown are drawn once.
 
@@ -224,5 +241,5 @@ def _converged_after(
     return good
 
 
-def _without(progress: float, why: Reason) -> MountingEstimate:
-    return MountingEstimate("insufficient", "two-phase", progress=progress, reasons=(why,))
+def _without(progress: float, *why: Reason) -> MountingEstimate:
+    return MountingEstimate("insufficient", "two-phase", progress=progress, reasons=why)

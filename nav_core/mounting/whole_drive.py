@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -12,6 +13,7 @@ from nav_core.mounting.confidence import assess
 from nav_core.mounting.model import COURSE_LAG, SPEED_LAG, Noise, less_crown
 from nav_core.mounting.moved import Piece, pieces_of
 from nav_core.mounting.quality import (
+    LAG_KNOWN,
     SWAY,
     WANDER,
     Verdict,
@@ -27,13 +29,20 @@ from nav_core.mounting.quality import (
 from nav_core.mounting.refine import Fit
 from nav_core.mounting.self_test import self_test
 from nav_core.mounting.stretch import Record, prepare, usable_fixes
-from nav_core.mounting.trouble import BENDS, HANDED, MIRRORED, TRUSTED_AFTER, came_back, handedness, inspect, late
+from nav_core.mounting.trouble import (
+    BENDS,
+    HANDED,
+    MIRRORED,
+    TRUSTED_AFTER,
+    came_back,
+    explained,
+    handedness,
+    inspect,
+    late,
+)
 from nav_core.records import Gnss, MountingChange, MountingEstimate, Reason
 from nav_core.rotation import angle_between
 from nav_core.signal import Ticks
-
-LAG_KNOWN = 0.25
-"""A lag with a larger sigma is not reported, s."""
 
 LOOSE = Verdict("not_fixed", 0.0, False, (reason("loose"),))
 
@@ -95,7 +104,10 @@ def analyse(ticks: Ticks, gnss: Gnss, *, noise: Noise | None = None) -> Analysis
     verdict = before_fit(last.record, offered) or after_fit(last.solution.start, found, offered)
     if verdict.status in ("insufficient", "not_fixed"):
         unlike_a_car = any(each.code == "mismatch" for each in verdict.reasons)
-        return Analysis(_without(LOOSE if changes and unlike_a_car else verdict, changes, remarks), None)
+        if changes and unlike_a_car:
+            verdict = LOOSE
+        found_wanting = _without(verdict, changes, remarks)
+        return Analysis(replace(found_wanting, reasons=explained(found_wanting.reasons, ticks)), None)
     trusted = not bends and offered.moving > TRUSTED_AFTER
     if trusted:
         remarks += (reason("handedness_trusted"),)

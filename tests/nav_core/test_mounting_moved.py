@@ -45,6 +45,20 @@ def test_a_change_of_heading_alone_is_found():
     assert np.degrees(angle_between(found.R_va, truth.R_va)) < 4.0
 
 
+@pytest.mark.parametrize("outage", [(200.0, 400.0), (230.0, 380.0), (200.0, 365.0)])
+def test_a_box_that_is_turned_in_a_tunnel(outage: tuple[float, float]):
+    """The change of tilt shows at a moment that no fix is near."""
+    move = Move(t=300.0, turn=(0.4, 0.0, 0.0))
+    scenario = Scenario(route="urban", duration=600.0, accel_rate=50.0, outages=(outage,), moves=(move,))
+    drive, truth = simulate(scenario, seed=3)
+    found = estimate_mounting(drive)
+    (change,) = found.changes
+    assert outage[0] < change.t < outage[1] + 5.0
+    assert change.angle == pytest.approx(0.4, abs=np.radians(4.0))
+    assert found.R_va is not None
+    assert np.degrees(angle_between(found.R_va, truth.R_va)) < 4.0
+
+
 @pytest.mark.parametrize(
     ("axis", "degrees", "after"),
     [(0, 10.0, 300.0), (2, 10.0, 300.0), (0, 5.0, 300.0), (1, 5.0, 300.0), (2, 5.0, 900.0)],

@@ -19,7 +19,7 @@ from nav_core.mounting.online_tally import covariance_of, mounting_of
 from nav_core.mounting.online_verdict import assess
 from nav_core.records import Drive, Gnss, Inertial
 from nav_core.rotation import angle_between, error_between
-from nav_core.simulate import Scenario, Truth, simulate
+from nav_core.simulate import Move, Scenario, Truth, simulate
 
 
 @lru_cache(maxsize=12)
@@ -267,13 +267,85 @@ def with_force(drive: Drive, f: np.ndarray) -> Drive:
 
 @pytest.mark.parametrize(
     ("mangle", "code"),
-    [(-np.eye(3), "mirrored"), (np.diag([1.0, 1.0, -1.0]), "mirrored"), (np.eye(3) / 9.80665, "unit")],
+    [(-np.eye(3), "mirrored"), (np.diag([1.0, 1.0, -1.0]), "mirrored"), (np.eye(3) / 9.80665, "wrong_unit")],
 )
 def test_inverted_left_handed_and_in_another_unit(mangle: np.ndarray, code: str):
     drive, _ = drive_of("urban", 240.0, 21)
     found = end_of(with_force(drive, drive.inertial.f @ mangle))
     assert found.status == "insufficient"
     assert code in {reason.code for reason in found.reasons}
+
+
+def moved_drive(axis: int, degrees: float, seed: int) -> tuple[Drive, Truth]:
+    """Turned about a V axis at 450 s of 900 s in town."""
+    _, before = simulate(Scenario(duration=20.0), seed=seed)
+    turn = np.radians(degrees) * before.R_va.T[:, axis]
+    scenario = Scenario(duration=900.0, accel_rate=50.0, moves=(Move(t=450.0, turn=tuple(turn)),))
+    return simulate(scenario, seed=seed)
+
+
+@pytest.mark.parametrize(("axis", "degrees"), [(2, 6.0), (0, 6.0), (1, 6.0), (0, 35.0), (2, 180.0)])
+def test_a_moved_box_is_found_out_and_learnt_anew(axis: int, degrees: float):
+    drive, truth = moved_drive(axis, degrees, 3)
+    mixed, state = 0.0, begin()
+    for chunk in chunks_of(drive, 5.0):
+        state = advance(state, chunk)
+        found = assess(state)
+        if found.status == "ready" and state.gnss.t[-1] > 450.0:
+            mixed += 5.0 * (angle_between(found.R_va, truth.R_va) > np.radians(3.0))
+    assert found.status == "ready"
+    (change,) = found.changes
+    assert 380.0 < change.t < 560.0
+    assert np.degrees(change.angle) == pytest.approx(degrees, abs=2.0)
+    assert np.all(np.abs(error_between(found.R_va, truth.R_va)) < 3.0 * found.sigma)
+    assert mixed <= 90.0
+
+
+@pytest.mark.parametrize("route", ["urban", "highway", "gentle", "straight"])
+def test_a_box_that_stays_put_raises_no_alarm(route: str):
+    drive, truth = drive_of(route, 900.0, 1, False, 4.0)
+    states = run_through(drive, 60.0)
+    assert not any(state.moves or state.watch.suspicious for state in states)
+    found = assess(states[-1])
+    assert found.changes == ()
+    assert np.all(np.abs(error_between(found.R_va, truth.R_va)) < 3.0 * found.sigma)
+
+
+def in_another_clock(gnss: Gnss, by: float, *, utc: bool) -> Gnss:
+    columns = [getattr(gnss, name) for name in ("lat", "lon", "alt", "speed", "course", "fix")]
+    return Gnss(gnss.t + by, *columns, utc=1.7e9 + gnss.t if utc else None)
+
+
+@pytest.mark.parametrize("utc", [True, False])
+def test_a_clock_that_jumps_back_begins_anew(utc: bool):
+    drive, truth = drive_of("urban", 240.0, 21)
+    state = begin()
+    for shift, since, until in ((0.0, 0.0, 120.0), (-100.0, 120.0, 240.0)):
+        samples = (drive.inertial.t >= since) & (drive.inertial.t < until)
+        fixes = (drive.gnss.t >= since) & (drive.gnss.t < until)
+        columns = [getattr(drive.gnss, name)[fixes] for name in ("t", "lat", "lon", "alt", "speed", "course", "fix")]
+        gnss = in_another_clock(Gnss(*columns), shift, utc=utc)
+        part = Drive(Inertial(drive.inertial.t[samples] + shift, drive.inertial.f[samples]), gnss)
+        for chunk in chunks_of(part, 10.0):
+            state = advance(state, chunk)
+            if state.remarks and state.tally.driven < 20.0:
+                assert assess(state).status != "ready"
+    found = assess(state)
+    assert {"clock_back"} <= {reason.code for reason in found.reasons}
+    assert state.tally.driven == pytest.approx(120.0, abs=10.0)
+    assert np.all(np.abs(error_between(found.R_va, truth.R_va)) < 3.0 * found.sigma)
+
+
+def test_fixes_sent_again_are_no_jump():
+    drive, _ = drive_of("urban", 60.0, 7)
+    drive = Drive(drive.inertial, in_another_clock(drive.gnss, 0.0, utc=True))
+    chunks = chunks_of(drive, 10.0)
+    once = begin()
+    for chunk in chunks:
+        once = advance(once, chunk)
+    again = advance(once, replace(chunks[2], ticks=replace_nothing(chunks[2])))
+    assert again.remarks == ()
+    np.testing.assert_array_equal(once.filters.P, again.filters.P)
 
 
 @pytest.mark.parametrize("seed", range(3))

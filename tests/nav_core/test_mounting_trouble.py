@@ -168,9 +168,57 @@ def test_slow_streams_are_named():
         assert _error_deg(found, truth.R_va) < 4.0
 
 
-@pytest.mark.parametrize("rate", [10.0, 50.0, 200.0])
+METHODS = ("whole-drive", "online", "mekf", "two-phase")
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize(
+    ("mangle", "code"),
+    [
+        (lambda f: 0.0 * f, "dead_accelerometer"),
+        (lambda f: f / 9.80665, "wrong_unit"),
+        (lambda f: 2.0 * f, "wrong_unit"),
+        (lambda f: f - f.mean(axis=0), "no_gravity"),
+    ],
+)
+def test_every_method_refuses_what_is_no_specific_force(mangle, code: str, method: str):
+    drive, _ = _drive(duration=120.0, accel_rate=50.0)
+    found = estimate_mounting(Drive(Inertial(drive.inertial.t, mangle(drive.inertial.f)), drive.gnss), method=method)
+    assert found.status == "insufficient"
+    assert _codes(found) == {code}
+    assert (
+        found.reasons
+        == estimate_mounting(Drive(Inertial(drive.inertial.t, mangle(drive.inertial.f)), drive.gnss)).reasons
+    )
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_dead_still_accelerometer_is_never_ready(method: str):
+    drive, _ = _drive(duration=240.0, accel_rate=50.0, seed=21)
+    still = np.tile([0.0, 0.0, -9.8], (drive.inertial.t.size, 1))
+    found = estimate_mounting(Drive(Inertial(drive.inertial.t, still), drive.gnss), method=method)
+    assert found.status != "ready"
+    if method == "two-phase":
+        assert _codes(found) == {"mismatch"}
+
+
+@pytest.mark.parametrize("rate", [1.0, 0.2])
+@pytest.mark.parametrize("method", METHODS)
+def test_an_accelerometer_that_is_too_slow_is_not_called_a_mismatch(rate: float, method: str):
+    drive, _ = _drive(duration=240.0, accel_rate=50.0, seed=21)
+    t = drive.inertial.t
+    kept = np.searchsorted(t, np.arange(t[0], t[-1], 1.0 / rate))
+    found = estimate_mounting(Drive(Inertial(t[kept], drive.inertial.f[kept]), drive.gnss), method=method)
+    assert found.status != "ready"
+    assert "mismatch" not in _codes(found)
+    if method in ("whole-drive", "two-phase"):
+        assert found.reasons[0].code == "slow_accelerometer"
+        assert f"only {rate:g} samples" in found.reasons[0].text
+
+
+@pytest.mark.parametrize("rate", [0.2, 1.0, 10.0, 50.0, 200.0])
 def test_the_ticks_know_the_sampling_rate(rate: float):
-    drive, _ = _drive(duration=30.0, accel_rate=rate)
+    drive, _ = _drive(duration=60.0, accel_rate=rate)
     assert sampling_rate(decimate(drive.inertial)) == pytest.approx(rate, rel=0.1)
 
 

@@ -40,6 +40,7 @@ def test_thirty_seconds_without_gps_in_town(smoothed):
     print(f"smoothed {smoothed}: worst {worst.max():.2f} m, median {np.median(worst):.2f} m, inside {share:.3f}")
     # The track the product gives is smoothed; on its own past the filter strays further once in a hundred drives.
     assert np.mean(worst < 12.0) >= (1.0 if smoothed else 0.97)
+    assert worst.max() < (4.0 if smoothed else 15.0)
     assert 0.90 <= share <= 0.99
 
 

@@ -1,0 +1,154 @@
+"""Whether the box has been moved, found out while it drives: a second filter that begins anew.
+
+An estimate that is sure of itself follows a moved box by and by and calls the mixture of two mountings its own.
+So a second filter runs beside it that has forgotten the mounting, and nothing else; every few minutes it
+forgets it again.  It is compared with what was known before it began, and before the one before it began: a move
+during one filter's time is a mixture to that filter as well, but not to the next.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from nav_core.mounting.moved import LEAST_ANGLE, SURE
+from nav_core.mounting.online_model import TURN, Filters, Tuning
+from nav_core.mounting.online_tally import CROWN, FLOOR, SHORT, Tally, covariance_of, mounting_of, widening
+from nav_core.rotation import error_between
+from nav_core.typing import Floats
+
+TERM = 180.0
+"""s of driving after which the second filter forgets again."""
+
+LONGEST_TERM = 360.0
+"""While it speaks against the mounting it goes on for so long, s of driving, to be proved right or wrong."""
+
+LEAST = 20.0
+"""s of driving before it is asked."""
+
+KNOWN_TO = np.radians(3.0)
+"""An estimate with a larger sigma is nothing to compare with, rad."""
+
+AGREES = 6.0
+SUSPECT = 14.0
+"""Squared difference over its covariance (three degrees of freedom) up to which the filters agree, and from which an
+estimate is not called ready."""
+
+LEAST_SUSPECT = np.radians(2.0)
+"""A smaller difference raises no suspicion, rad."""
+
+OTHER_ROADS = np.radians(0.5)
+"""By so much the mean slope and bank of one stretch of road may differ from another's, rad."""
+
+
+class Known(NamedTuple):
+    """A mounting as it was known at a box time, s."""
+
+    t: float
+    R_va: Floats
+    covariance: Floats
+
+
+class Watch(NamedTuple):
+    """What the second filter is there for.
+
+    Attributes
+    ----------
+    second : Filters, optional
+        One filter; None while there is nothing to compare it with.
+    begun : Known, optional
+        The mounting when it began.
+    anchor : Known, optional
+        The mounting it is compared with.
+    driven : float
+        `Tally.driven` when it began, s.
+    doubt : float
+        Squared difference over its covariance.
+    angle : float
+        Of the difference, rad.
+    quiet : float
+        Box time at which it last agreed, or began, s.
+    """
+
+    second: Filters | None = None
+    begun: Known | None = None
+    anchor: Known | None = None
+    driven: float = 0.0
+    doubt: float = 0.0
+    angle: float = 0.0
+    quiet: float = 0.0
+
+    @property
+    def suspicious(self) -> bool:
+        """Whether it speaks against the mounting as it was."""
+        return self.doubt > SUSPECT and self.angle > LEAST_SUSPECT
+
+    @property
+    def moved(self) -> bool:
+        """Whether the box has been moved."""
+        return self.doubt > SURE and self.angle > LEAST_ANGLE
+
+
+class Move(NamedTuple):
+    """A move of the box: when, the mounting before it, and by what angle at least, s and rad."""
+
+    t: float
+    before: Floats
+    angle: float
+
+
+def looked_after(watch: Watch, filters: Filters, tally: Tally, tuning: Tuning, t: float) -> Watch:
+    """The watch at the end of a piece.
+
+    Parameters
+    ----------
+    watch : Watch
+        Its filter worked off as far as the others.
+    filters : Filters
+        Settled.
+    tally : Tally
+    tuning : Tuning
+    t : float
+        Box time, s.
+
+    Returns
+    -------
+    Watch
+    """
+    age = tally.driven - watch.driven
+    if watch.second is not None and watch.anchor is not None:
+        if age > LEAST:
+            watch = _compared(watch, watch.second, watch.anchor, age, t)
+        if age < (LONGEST_TERM if watch.suspicious else TERM):
+            return watch
+    covariance = covariance_of(filters, tally)
+    if np.diag(covariance).max() > KNOWN_TO**2:
+        return watch
+    now = Known(t, mounting_of(filters), covariance)
+    # A suspicion stays until the next one has been asked.
+    return Watch(_forgetful(filters, tuning), now, watch.begun or now, tally.driven, watch.doubt, watch.angle, quiet=t)
+
+
+def _forgetful(filters: Filters, tuning: Tuning) -> Filters:
+    """The best filter, its mounting as unknown as after levelling."""
+    one = slice(filters.best, filters.best + 1)
+    second = Filters(*(column[one].copy() for column in filters))
+    turn = slice(TURN, TURN + 3)
+    second.P[:, turn, :] = 0.0
+    second.P[:, :, turn] = 0.0
+    second.P[:, [TURN, TURN + 1, TURN + 2], [TURN, TURN + 1, TURN + 2]] = np.square(
+        [tuning.tilt, tuning.tilt, tuning.yaw]
+    )
+    return second
+
+
+def _compared(watch: Watch, second: Filters, anchor: Known, age: float, t: float) -> Watch:
+    e = error_between(mounting_of(second), anchor.R_va)
+    doubt = second.P[0, TURN : TURN + 3, TURN : TURN + 3] * (widening(second) ** 2 * (1.0 + SHORT / age))
+    # The roads' mean bank is common to both.
+    doubt = doubt + anchor.covariance - np.diag([CROWN**2, 0.0, 0.0])
+    doubt += (FLOOR**2 + OTHER_ROADS**2) * np.eye(3)
+    square = float(e @ np.linalg.solve(doubt, e))
+    quiet = t if square < AGREES else watch.quiet
+    return watch._replace(doubt=square, angle=float(np.linalg.norm(e)), quiet=quiet)
