@@ -18,7 +18,7 @@ from nav_core.mounting.whitening import whiten
 from nav_core.typing import Floats
 
 _LADDER = (1.0, 1.5, 2.2, 3.3, 5.0, 8.0)
-_MOST: dict[tuple[str, ...], float] = {("drift",): 3.3}
+_MOST: dict[tuple[str, ...], float] = {("drift",): 10.0}
 """No accelerometer drifts faster; left free, drift would explain away what tilt and slope should."""
 
 _PITCH_LEVELS = (("speed_white", "speed_slow"), ("heave",), ("force", "relative"), ("slope",), ("drift",))

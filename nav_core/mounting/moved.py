@@ -39,6 +39,9 @@ STRANGER = 25.0 * MILLI_G
 """Bias that either side of a suspected move may have for itself, m/s²: a cold morning after a hot evening.  What
 is left of a difference then is what driving tells of it, and a bias cannot pass for a turn of the box."""
 
+RESTLESS = 3.0 * MILLI_G / np.sqrt(300.0)
+"""And its drift, (m/s²)/√s: a short side cannot show how fast its bias runs away."""
+
 SURE = 30.0
 """Squared difference over its covariance (three degrees of freedom) that counts as a move."""
 
@@ -154,7 +157,7 @@ def _between_trips(record: Record, noise: Noise) -> tuple[Record, Record] | None
     pauses = np.flatnonzero(np.diff(t) > PAUSE)
     if pauses.size < 2:
         return None
-    noise = replace(noise, bias=max(noise.bias, STRANGER))
+    noise = replace(noise, bias=max(noise.bias, STRANGER), drift=max(noise.drift, RESTLESS))
     edges = np.concatenate([[t[0]], t[pauses + 1]])
     ends = np.concatenate([t[pauses], [t[-1]]])
     trips = [between(record, begin, end) for begin, end in zip(edges, ends, strict=True)]
@@ -169,7 +172,7 @@ def _between_trips(record: Record, noise: Noise) -> tuple[Record, Record] | None
 
 def _confirmed(record: Record, when: float, noise: Noise) -> tuple[Record, Record] | None:
     """Both sides of a suspected move, with the moment sharpened; None when they agree."""
-    noise = replace(noise, bias=max(noise.bias, STRANGER))
+    noise = replace(noise, bias=max(noise.bias, STRANGER), drift=max(noise.drift, RESTLESS))
     confirmed: tuple[Record, Record] | None = None
     for _ in range(2):
         sides = _sides(record, when)
