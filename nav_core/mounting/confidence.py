@@ -49,6 +49,8 @@ class Confidence:
         Factors on sigma by which the drive widened the model's, per axis.
     scatter : ndarray, shape (3,)
         Mean square of the stretches' deviations over their own variances; 1 when the model holds.
+    spread : ndarray, shape (3,)
+        Size of what the deviations have beyond their own noise, rad.
     converged_after : float, optional
         Since the first stretch, s.
     stable : bool
@@ -58,6 +60,7 @@ class Confidence:
     observability: float
     widening: Floats
     scatter: Floats
+    spread: Floats
     converged_after: float | None
     stable: bool
 
@@ -69,7 +72,7 @@ def observability(covariance: Floats) -> float:
     return float(np.clip((1.0 - lmax / float(np.trace(covariance))) * n / (n - 1), 0.0, 1.0))
 
 
-def stretch_scatter(fit: Fit) -> tuple[Floats, int]:
+def stretch_scatter(fit: Fit) -> tuple[Floats, int, Floats]:
     """Disagreement of the stretches of a drive, axis by axis.
 
     Each stretch moves one axis of the mounting with all else held.  Its deviations are weighed with
@@ -81,6 +84,8 @@ def stretch_scatter(fit: Fit) -> tuple[Floats, int]:
         1 in the mean when the model holds.
     degrees : int
         Of freedom, per axis.
+    spread : ndarray, shape (3,)
+        Of the deviations beyond their own noise, rad.
     """
     groups = [part for part in np.array_split(fit.gram, STRETCHES) if part.size]
     grams = np.array([part.sum(0) for part in groups])
@@ -92,7 +97,9 @@ def stretch_scatter(fit: Fit) -> tuple[Floats, int]:
     deviation = np.where(used, pull / np.maximum(information, 1e-12), 0.0)
     mean = (information * deviation).sum(0) / np.maximum(information.sum(0), 1e-12)
     degrees = np.maximum(used.sum(0) - 1, 1)
-    return (information * (deviation - mean) ** 2).sum(0) / degrees, int(degrees.min())
+    scatter = (information * (deviation - mean) ** 2).sum(0) / degrees
+    usual = information.sum(0) / np.maximum(used.sum(0), 1)
+    return scatter, int(degrees.min()), np.sqrt(np.maximum(scatter - 1.0, 0.0) / np.maximum(usual, 1e-12))
 
 
 def _innovation_ratio(fit: Fit) -> float:
@@ -113,7 +120,7 @@ def assess(fit: Fit) -> Confidence:
     -------
     Confidence
     """
-    scatter, degrees = stretch_scatter(fit)
+    scatter, degrees, spread = stretch_scatter(fit)
     shrunk = (_TRUST + degrees * scatter) / (_TRUST + degrees)
     widening = np.sqrt(np.maximum(shrunk, 1.0) * _innovation_ratio(fit))
     cumulative = np.cumsum(fit.gram, axis=0)
@@ -135,6 +142,7 @@ def assess(fit: Fit) -> Confidence:
         observability=observability(history[-1]),
         widening=widening,
         scatter=scatter,
+        spread=spread,
         converged_after=converged_after,
         stable=bool(back > 0 and np.all(moved <= allowed)),
     )

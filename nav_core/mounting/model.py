@@ -233,7 +233,8 @@ def pitch_system(
     shaken = noise.force**2 * steps.dt + grain
     Q[:, V, V] = shaken + (noise.relative * change) ** 2 + lost
     Q[:, CLIMB, CLIMB] = shaken + lost
-    Q[:, HEIGHT, HEIGHT] = (0.02 * steps.distance) ** 2 * steps.broken
+    # Over a long gap the vehicle may have got anywhere, by a ramp, a train, or a reset of the receiver.
+    Q[:, HEIGHT, HEIGHT] = (0.02 * steps.distance) ** 2 * steps.broken + np.where(elapsed > LONGEST_STEP, 1e4, 0.0)
     H = np.zeros((count, 3, 10))
     H[:, 0, V] = H[:, 0, SPEED_ERROR] = 1.0
     H[:, 1, HEIGHT] = H[:, 1, HEIGHT_ERROR] = 1.0

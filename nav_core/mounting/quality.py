@@ -34,6 +34,11 @@ LAG_KNOWN = 0.25
 USELESS = np.radians(15.0)
 """An axis with a larger sigma is not known at all, rad."""
 
+CONTRADICTING = 40.0
+APART = np.radians(0.8)
+"""Stretches contradict each other by so many times their own variance and by so much, rad: a drive's pitch is
+known so well that a hundredth of a degree of something else would do for the first alone."""
+
 WANDER = np.radians(15.0)
 """Gravity that keeps leaving its mean direction by this is not that of a fixed box, rad."""
 
@@ -243,7 +248,7 @@ def after_fit(start: Start, found: Confidence, offered: Excitation) -> Verdict:
         return Verdict("insufficient", min(progress, 0.2), reliable, missing(sigma, offered.along, offered.turned))
     if not fits_a_car(start, offered):
         return Verdict("insufficient", min(progress, 0.2), False, (reason("mismatch"),))
-    contradiction = bool(found.scatter.max() > 40.0)
+    contradiction = bool(((found.scatter > CONTRADICTING) & (found.spread > APART)).any())
     if sigma.max() < CONVERGED and reliable and not contradiction:
         return Verdict("ready", 1.0, True, ())
     reasons = list(missing(sigma, offered.along, offered.turned))
