@@ -10,11 +10,10 @@ from nav_core.crash.case import Case
 from nav_core.crash.clipping import restore
 from nav_core.crash.filters import LEAST_RATE, cfc
 from nav_core.crash.fuse import Change, Cloud, fuse
-from nav_core.crash.gps_change import AFTER, After, Before, after, before
-from nav_core.crash.pulse import LOOK_BACK, Blow, Steady, blow_of, steady_before
+from nav_core.crash.gps_change import AFTER, After, Before, Steady, after, before, level_before
+from nav_core.crash.pulse import Blow, blow_of, steady_before
 from nav_core.events.trigger import Window
 from nav_core.records import Gnss
-from nav_core.rotation import wrap
 from nav_core.typing import Flags, Floats
 
 MARGIN = 0.5
@@ -95,8 +94,8 @@ def impact_of(case: Case, window: Window, *, with_gps: bool = True) -> Impact:
     stream = case.stream
     t0 = float(stream.t[window.zero])
     gnss = case.gnss if with_gps else None
-    gained = None if gnss is None else _gained_before(gnss, case, t0)
-    steady = steady_before(stream, t0, gained if case.yaw_known else None)
+    level = level_before(gnss, case.lags, stream, t0) if gnss is not None and case.yaw_known else None
+    steady = steady_before(stream, t0, level)
     blow = blow_of(stream, window, steady, case.w_v, margin=MARGIN, tail=AFTER + 0.1)
     first = int(np.searchsorted(stream.t, blow.t[0]))
     flags = case.saturation.flags[first : first + blow.t.size]
@@ -106,7 +105,7 @@ def impact_of(case: Case, window: Window, *, with_gps: bool = True) -> Impact:
     smooth = blow.velocity(structural(case, blow, filled))[part]
     k = blow.zero + int(np.argmax(np.hypot(smooth[:, 0], smooth[:, 1])))
 
-    known = None if gnss is None else before(gnss, case.lags, stream, steady.f, t0)
+    known = None if gnss is None else before(gnss, case.lags, stream, steady, t0)
     seen = None
     if gnss is not None and known is not None and case.yaw_known:
         seen = _seen(case, gnss, known, blow, trace)
@@ -150,21 +149,6 @@ def _rough(a: Floats) -> float:
         return 0.0
     off = a[1:-1] - 0.5 * (a[2:] + a[:-2])
     return float(np.sqrt(np.mean(off**2) / max(np.mean(a**2), 1e-9)))
-
-
-def _gained_before(gnss: Gnss, case: Case, t0: float) -> Floats | None:
-    """Mean acceleration of the vehicle, forward and to the right, in the seconds before the blow, by the fixes."""
-    at = gnss.t - case.lags.speed
-    use = (at >= t0 - LOOK_BACK - 0.5) & (gnss.t <= t0)
-    if use.sum() < 4 or np.ptp(at[use]) < 0.4 * LOOK_BACK or case.lags.sigma > 0.2:
-        return None
-    x = at[use] - at[use].mean()
-    forward = float(x @ gnss.speed[use] / (x @ x))
-    course, speed = gnss.course[use], gnss.speed[use]
-    if not np.isfinite(course).all() or speed.min() < 3.0:
-        return np.array([forward, 0.0])
-    turned = np.asarray(wrap(course - course[-1]))
-    return np.array([forward, float(x @ turned / (x @ x)) * float(speed.mean())])
 
 
 def _restored(case: Case, blow: Blow, flags: Flags) -> tuple[Floats, float]:

@@ -9,27 +9,17 @@ from typing import NamedTuple
 
 import numpy as np
 
+from nav_core.crash.gps_change import LEVEL, LOOK_BACK, Level, Steady
 from nav_core.earth import STANDARD_GRAVITY
 from nav_core.events.trigger import Stream, Window, integrate
 from nav_core.rotation import product, quaternion_to_matrix, rotvec_to_quaternion
 from nav_core.typing import Floats
 
-LOOK_BACK = 4.0
-"""Gravity and bias are taken from at most this long before `t0`, s, ..."""
-
 MARGIN = 0.005
-"""... and until this long before it."""
+"""Gravity and bias are taken until this long before `t0`, s."""
 
 
-class Steady(NamedTuple):
-    """Specific force of gravity and bias alone, V axes, m/s², (3,); 1 sigma of each horizontal one; seconds used."""
-
-    f: Floats
-    sigma: float
-    span: float
-
-
-def steady_before(stream: Stream, t0: float, gained: Floats | None) -> Steady:
+def steady_before(stream: Stream, t0: float, level: Level | None) -> Steady:
     """Gravity and bias from the seconds before the blow.
 
     Parameters
@@ -37,8 +27,8 @@ def steady_before(stream: Stream, t0: float, gained: Floats | None) -> Steady:
     stream : Stream
     t0 : float
         Box clock, s.
-    gained : ndarray, shape (2,), optional
-        Mean forward and rightward acceleration of the vehicle over those seconds by GPS, m/s².
+    level : Level, optional
+        What the fixes tell of it.
 
     Returns
     -------
@@ -46,14 +36,14 @@ def steady_before(stream: Stream, t0: float, gained: Floats | None) -> Steady:
         Without fixes the vehicle's own acceleration stays in it, which the sigma admits.
     """
     first, last = np.searchsorted(stream.t, [t0 - LOOK_BACK, t0 - MARGIN])
-    level = np.array([0.0, 0.0, -STANDARD_GRAVITY])
     if last <= first:
         near = int(np.searchsorted(stream.t, t0))
-        return Steady(stream.rest[min(near, stream.t.size - 1)] if stream.t.size else level, 0.6, 0.0)
+        upright = np.array([0.0, 0.0, -STANDARD_GRAVITY])
+        return Steady(stream.rest[min(near, stream.t.size - 1)] if stream.t.size else upright, 0.6, 0.0)
     part = stream.f[first:last]
     span = float(stream.t[last - 1] - stream.t[first])
-    if gained is not None and span > 0.5 * LOOK_BACK:
-        return Steady(part.mean(axis=0) - np.array([*gained, 0.0]), 0.12, span)
+    if level is not None:
+        return Steady(np.array([*level.f, part[:, 2].mean()]), max(level.sigma, LEVEL), span)
     if span < 0.25 * LOOK_BACK:
         return Steady(part.mean(axis=0), 0.4, span)
     # The median leaves out a short braking; a long one cannot be told from a slope.

@@ -1,0 +1,64 @@
+"""One blow made by formula: what the seconds before it, the mounting and missing samples do to its numbers."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from nav_core.crash import reconstruct_drive
+from nav_core.records import Drive, Gnss, Inertial, MountingEstimate
+
+G = 9.80665
+NO_GNSS = Gnss(*[np.zeros(0)] * 6, fix=np.zeros(0, dtype=bool))
+T0 = 10.0
+
+
+def told(sigma_deg=(0.5, 0.5, 0.5), status="ready"):
+    covariance = np.diag(np.radians(np.array(sigma_deg)) ** 2)
+    return MountingEstimate(status, "whole-drive", R_va=np.eye(3), covariance=covariance, speed_lag=0.2, course_lag=0.2)
+
+
+def blows(*each, rate=200.0, until=20.0, seed=1):
+    """Haversine blows of (t, delta-V m/s, PDOF rad) over 0.1 s, with noise."""
+    t = np.arange(0.0, until, 1.0 / rate)
+    f = np.random.default_rng(seed).normal(0.0, 0.2, (t.size, 3)) - [0.0, 0.0, G]
+    for begin, delta_v, pdof in each:
+        u = (t - begin) / 0.1
+        a = np.where((u > 0.0) & (u < 1.0), np.sin(np.pi * u) ** 2, 0.0) * 2.0 * delta_v / 0.1
+        f[:, :2] -= a[:, None] * [np.cos(pdof), np.sin(pdof)]
+    return t, f
+
+
+def fixes(rate, times, speeds, *, lag=0.2, seed=2):
+    """Fixes straight north; speeds by linear interpolation."""
+    t = np.arange(0.03, times[-1], 1.0 / rate)
+    v = np.interp(t - lag, times, speeds)
+    lat = np.radians(45.0) + np.cumsum(v) / rate / 6.37e6
+    v = np.maximum(v + np.random.default_rng(seed).normal(0.0, 0.05, t.size), 0.0)
+    same = np.zeros(t.size)
+    return Gnss(t, lat, same + 0.12, same, v, same, fix=np.ones(t.size, dtype=bool))
+
+
+def codes(event):
+    return {remark.code for remark in event.quality}
+
+
+def severe(drive, mounting):
+    return next(each for each in reconstruct_drive(drive, mounting) if each.severe)
+
+
+@pytest.mark.parametrize("rate", [1.0, 4.0, 10.0])
+@pytest.mark.parametrize("seconds", [0.5, 1.0, 1.5, 2.0, 3.0])
+@pytest.mark.parametrize("lag", [0.15, 0.2, 0.25])
+def test_braking_before_the_blow_leaves_the_impact_speed_alone(rate, seconds, lag):
+    t, f = blows((T0, 7.0, 0.0))
+    f[(t > T0 - seconds) & (t < T0), 0] -= 8.5
+    start = 12.0 + 8.5 * seconds
+    gnss = fixes(rate, [0.0, T0 - seconds, T0, T0 + 0.1, 20.0], [start, start, 12.0, 5.0, 5.0], lag=lag)
+    event = severe(Drive(Inertial(t, f), gnss), told())
+    assert event.impact_speed.low <= 12.0 <= event.impact_speed.high
+    assert event.impact_speed.value == pytest.approx(12.0, abs=0.7)
+    assert event.impact_speed.high - event.impact_speed.low < 3.2
+    assert event.delta_v.resultant.low <= 7.0 <= event.delta_v.resultant.high
+    assert event.delta_v.resultant.value == pytest.approx(7.0, rel=0.01)
+    assert "gps_disagrees" not in codes(event)
