@@ -111,7 +111,7 @@ def impact_of(case: Case, window: Window, *, with_gps: bool = True) -> Impact:
         seen = _seen(case, gnss, known, blow, trace)
     recorded = blow.v[k, :2]
     missing = trace[k, :2] - recorded
-    change = Change(recorded, missing, spread, _covariance(case, blow, trace[k, :2], k, steady))
+    change = Change(recorded, missing, spread, _covariance(case, blow, trace[k, :2], k, steady), _turn(case, blow, k))
     gps, covariance = None, None
     if seen is not None and known is not None:
         gps = seen.velocity - np.array([known.speed, 0.0]) - (trace[blow.last, :2] - trace[k, :2])
@@ -171,7 +171,7 @@ def _seen(case: Case, gnss: Gnss, known: Before, blow: Blow, trace: Floats) -> A
 
 
 def _covariance(case: Case, blow: Blow, d: Floats, k: int, steady: Steady) -> Floats:
-    """Of a delta-V that was not clipped: level, vibration, scale, sampling, and the direction of the axes."""
+    """Of a delta-V that was not clipped: level, vibration, scale and sampling."""
     size = float(np.hypot(*d))
     along = d / max(size, 1e-9)
     across = np.array([-along[1], along[0]])
@@ -184,15 +184,19 @@ def _covariance(case: Case, blow: Blow, d: Floats, k: int, steady: Steady) -> Fl
         # Of white noise, a sample is off the mean of its neighbours by 1.5 times the variance.
         noise = rough * float(np.sqrt(np.mean(pulse**2) / 1.5))
         every += noise**2 * max(k - blow.zero, 1) / case.rate**2
-    turned = float(np.arctan2(blow.C[k, 1, 0], blow.C[k, 0, 0]))
-    turn = case.sigma[2] ** 2 + ROTATION**2 + (HELD * turned) ** 2
-    # An open heading leaves the resultant as sure as it is.
-    turn = min(turn, 1.0)
     return (
         every * np.eye(2)
         + (SCALE**2 + alias**2) * size**2 * np.outer(along, along)
-        + (turn + 0.25 * alias**2) * size**2 * np.outer(across, across)
+        + 0.25 * alias**2 * size**2 * np.outer(across, across)
     )
+
+
+def _turn(case: Case, blow: Blow, k: int) -> float:
+    """1 sigma of the direction of the axes, rad."""
+    turned = float(np.arctan2(blow.C[k, 1, 0], blow.C[k, 0, 0]))
+    # Of an open heading no direction is told, and the resultant is as sure as ever.
+    mounted = float(case.sigma[2]) if case.yaw_known else 0.0
+    return float(np.sqrt(mounted**2 + ROTATION**2 + (HELD * turned) ** 2))
 
 
 def _consistent(recorded: Floats, filled: Floats, cloud: Cloud, measured: Floats, missing: Floats) -> Floats:

@@ -62,3 +62,15 @@ def test_braking_before_the_blow_leaves_the_impact_speed_alone(rate, seconds, la
     assert event.delta_v.resultant.low <= 7.0 <= event.delta_v.resultant.high
     assert event.delta_v.resultant.value == pytest.approx(7.0, rel=0.01)
     assert "gps_disagrees" not in codes(event)
+
+
+@pytest.mark.parametrize("mounting", [MountingEstimate("insufficient", "whole-drive"), told((1.0, 1.0, 18.0)), told()])
+@pytest.mark.parametrize("delta_v", [4.0, 11.0, 22.0])
+def test_a_heading_that_is_not_known_leaves_the_resultant_as_sure_as_it_is(mounting, delta_v):
+    event = severe(Drive(Inertial(*blows((T0, delta_v, 0.4))), NO_GNSS), mounting)
+    resultant = event.delta_v.resultant
+    assert resultant.low <= delta_v <= resultant.high
+    assert resultant.high - resultant.low < 0.1 + 0.03 * delta_v
+    if event.pdof is not None:
+        sigma = np.degrees((event.pdof.high - event.pdof.low) / 3.92)
+        assert sigma == pytest.approx(np.degrees(mounting.sigma[2]), abs=1.0)
