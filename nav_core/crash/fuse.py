@@ -96,6 +96,19 @@ class Cloud(NamedTuple):
         """Mean and interval of any function of the points, shape (k,)."""
         return self._estimate(values, float(self.weights @ values))
 
+    def reaching(self, hidden: float) -> Cloud:
+        """The same where more of the same may be missing: up to `hidden`, m/s, longer; the mean stays."""
+        size = float(np.hypot(*self.mean))
+        if hidden <= 0.0 or size < 1e-9:
+            return self
+        along = self.mean / size
+        across = np.array([-along[1], along[0]])
+        k = np.arange(1, self.weights.size + 1)
+        # Golden and silver ratios: evenly spread over both, and unlike the points' own order.
+        longer = np.mod(0.5 + k * 0.6180339887498949, 1.0)
+        sideways = np.mod(0.5 + k * 0.4142135623730951, 1.0) - 0.5
+        return self._replace(points=self.points + hidden * (np.outer(longer, along) + np.outer(sideways, across)))
+
     def _estimate(self, values: Floats, value: float) -> Estimate:
         low, high = quantiles(values, self.weights, (0.025, 0.975))
         return Estimate(value, min(low, value), max(high, value))

@@ -11,6 +11,7 @@ from nav_core.crash.clipping import restore
 from nav_core.crash.filters import LEAST_RATE, cfc
 from nav_core.crash.fuse import Change, Cloud, fuse
 from nav_core.crash.gps_change import AFTER, After, Before, Steady, after, before, level_before
+from nav_core.crash.lacks import Lacks, lacks_of
 from nav_core.crash.pulse import Blow, blow_of, steady_before
 from nav_core.events.trigger import Window
 from nav_core.records import Gnss
@@ -57,6 +58,7 @@ class Impact(NamedTuple):
         1 sigma of the logarithm of the missing impulse.
     rough : float
         How far samples are off the mean of their neighbours, share of the pulse.
+    lacks : Lacks
     k : int
         Sample of the maximum resultant.
     cloud : Cloud
@@ -73,6 +75,7 @@ class Impact(NamedTuple):
     clipped_samples: int
     spread: float
     rough: float
+    lacks: Lacks
     k: int
     cloud: Cloud
     known: Before | None
@@ -109,14 +112,20 @@ def impact_of(case: Case, window: Window, *, with_gps: bool = True) -> Impact:
     seen = None
     if gnss is not None and known is not None and case.yaw_known:
         seen = _seen(case, gnss, known, blow, trace)
-    recorded = blow.v[k, :2]
+    recorded, lacks = blow.v[k, :2], lacks_of(blow, case.rate)
     missing = trace[k, :2] - recorded
-    change = Change(recorded, missing, spread, _covariance(case, blow, trace[k, :2], k, steady), _turn(case, blow, k))
+    change = Change(
+        recorded,
+        missing,
+        spread,
+        _covariance(case, blow, trace[k, :2], k, steady) + lacks.unsure**2 * np.eye(2),
+        _turn(case, blow, k),
+    )
     gps, covariance = None, None
     if seen is not None and known is not None:
         gps = seen.velocity - np.array([known.speed, 0.0]) - (trace[blow.last, :2] - trace[k, :2])
         covariance = seen.covariance + np.diag([known.sigma**2, 0.0])
-    cloud = fuse(change, gps, covariance)
+    cloud = fuse(change, gps, covariance).reaching(lacks.hidden)
     return Impact(
         blow=blow,
         steady=steady,
@@ -125,6 +134,7 @@ def impact_of(case: Case, window: Window, *, with_gps: bool = True) -> Impact:
         clipped_samples=int(flags[part].any(axis=1).sum()),
         spread=spread,
         rough=_rough(blow.a[part]),
+        lacks=lacks,
         k=k,
         cloud=cloud,
         known=known,

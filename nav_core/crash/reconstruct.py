@@ -15,7 +15,7 @@ from nav_core.earth import STANDARD_GRAVITY
 from nav_core.events.classify import Finding, find, scene_of
 from nav_core.events.driving import Manoeuvre, manoeuvres
 from nav_core.events.record import ALGORITHM, Basis, CrashEvent, DeltaV, Estimate, SecondImpact, VehicleClass
-from nav_core.events.trigger import AFTER_END, MULTI_EVENT
+from nav_core.events.trigger import MULTI_EVENT
 from nav_core.records import Drive, MountingEstimate, Remark
 
 SEVERE = ("crash", "rollover", "parked_impact")
@@ -163,19 +163,20 @@ def _remarks(case: Case, impact: Impact) -> tuple[Remark, ...]:
 def _sampling(case: Case, impact: Impact) -> tuple[Remark, ...]:
     """What must be known of the samples of a blow."""
     out: list[Remark] = []
-    blow = impact.blow
     if impact.rough > ROUGH:
         text = f"Neighbouring samples differ by {100.0 * impact.rough:.0f} % of the pulse: it is sampled too slowly."
         out.append(Remark("aliasing_likely", text))
     elif case.rate < UNFILTERED_RATE:
         text = f"{case.rate:.0f} samples per second: body ringing may fold into delta-V where the box has no filter."
         out.append(Remark("aliasing_possible", text))
-    if blow.zero == 0:
+    lacks = impact.lacks
+    if lacks.starts:
         out.append(Remark("starts_in_event", "The recording begins within the event: delta-V lacks its start."))
-    if blow.t[blow.last] < blow.t[blow.end] + AFTER_END - 1.5 / case.rate:
+    if lacks.ends:
         out.append(Remark("ends_in_event", "The recording ends before the end of integration."))
-    if np.any(blow.step[blow.zero + 1 : blow.last + 1] == 0.0):
-        out.append(Remark("gap_in_event", "Samples are missing within the event; nothing is put in their place."))
+    if lacks.gap > 0.0:
+        text = f"{1e3 * lacks.gap:.0f} ms of samples are missing within the event; the interval is wider by them."
+        out.append(Remark("gap_in_event", text))
     return tuple(out)
 
 

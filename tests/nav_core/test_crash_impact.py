@@ -74,3 +74,32 @@ def test_a_heading_that_is_not_known_leaves_the_resultant_as_sure_as_it_is(mount
     if event.pdof is not None:
         sigma = np.degrees((event.pdof.high - event.pdof.low) / 3.92)
         assert sigma == pytest.approx(np.degrees(mounting.sigma[2]), abs=1.0)
+
+
+@pytest.mark.parametrize("gap", [0.012, 0.02, 0.04, 0.06, 0.09])
+@pytest.mark.parametrize("middle", [0.03, 0.05, 0.07])
+def test_samples_missing_within_a_blow_are_said_and_widen_the_interval(gap, middle):
+    t, f = blows((T0, 11.0, 0.0))
+    keep = np.abs(t - T0 - middle) > 0.5 * gap
+    found = [each for each in reconstruct_drive(Drive(Inertial(t[keep], f[keep]), NO_GNSS), told()) if each.severe]
+    if gap > 0.06 and not found:
+        return  # nothing left to see
+    (event,) = found
+    assert "gap_in_event" in codes(event)
+    if gap <= 0.06:
+        assert event.delta_v.resultant.low <= 11.0 <= event.delta_v.resultant.high
+    assert event.indices.asi_2010 is None
+    assert "indices_incomplete" in codes(event)
+
+
+@pytest.mark.parametrize("share", [0.2, 0.35, 0.5, 0.65])
+@pytest.mark.parametrize("side", ["starts", "ends"])
+def test_a_recording_that_starts_or_ends_in_a_blow_does_not_claim_to_hold_it_all(side, share):
+    t, f = blows((T0, 14.0, 0.3))
+    keep = t >= T0 + 0.1 * share if side == "starts" else t <= T0 + 0.1 * (1.0 - share)
+    event = severe(Drive(Inertial(t[keep], f[keep]), NO_GNSS), told())
+    assert f"{side}_in_event" in codes(event)
+    resultant = event.delta_v.resultant
+    assert resultant.low <= 14.0 <= resultant.high
+    assert resultant.value < 14.0
+    assert event.indices.asi_2010 is None
