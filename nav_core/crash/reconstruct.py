@@ -144,6 +144,9 @@ def _remarks(case: Case, impact: Impact) -> tuple[Remark, ...]:
         count = impact.clipped_samples
         text = f"{count} samples at full scale ({full:.1f} g); the missing impulse is known to {share:.0f} %."
         out.append(Remark("clipped", text))
+    if blow.gyro_gap > 0.0:
+        text = f"The gyro says nothing for {1e3 * blow.gyro_gap:.0f} ms of the event."
+        out.append(Remark("gyro_gap", text))
     if blow.w is None:
         text = "No gyro: delta-V is in the box's own axes, which turn with the vehicle."
         out.append(Remark("axes_rotating", text))
@@ -194,7 +197,7 @@ def _basis(case: Case, t0: float, impact: Impact | None) -> Basis:
         mounting_status=mounting.status,
         mounting_sigma=None if sigma is None else (float(sigma[0]), float(sigma[1]), float(sigma[2])),
         R_va=mounting.R_va,
-        gyro=case.w_v is not None,
+        gyro=case.w_v is not None if impact is None else impact.blow.w is not None,
         fixes_before=0 if known is None else known.fixes,
         fixes_after=0 if seen is None else seen.fixes,
         speed_lag=mounting.speed_lag,

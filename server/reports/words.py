@@ -136,6 +136,7 @@ ITALIAN = {
 ITALIAN_REMARKS = {
     "clipped": "Alcuni campioni sono a fondo scala; l'impulso mancante è stato stimato.",
     "axes_rotating": "Senza giroscopio: delta-V negli assi della scatola, che ruotano con il veicolo.",
+    "gyro_gap": "Il giroscopio tace per parte dell'evento.",
     "indices_clipped": "ASI, OLC, THIV e PHD non sono dati per un impulso a fondo scala.",
     "indices_incomplete": "Gli indici di severità non sono dati per un impulso incompleto.",
     "indices_not_given": "Gli indici di severità richiedono il montaggio e almeno 78 Hz.",

@@ -103,3 +103,19 @@ def test_a_recording_that_starts_or_ends_in_a_blow_does_not_claim_to_hold_it_all
     assert resultant.low <= 14.0 <= resultant.high
     assert resultant.value < 14.0
     assert event.indices.asi_2010 is None
+
+
+@pytest.mark.parametrize(
+    ("silent", "remarked", "used"), [(0.0, False, True), (0.012, True, True), (0.05, True, False), (0.4, True, False)]
+)
+@pytest.mark.parametrize("every", [1, 2])
+def test_a_gyro_that_is_silent_in_the_blow_is_said_and_not_made_up(silent, remarked, used, every):
+    t, f = blows((T0, 11.0, 0.0), rate=400.0)
+    w = np.zeros((t.size, 3))
+    w[t > T0] = [0.0, 0.0, 1.0]
+    w[np.abs(t - T0 - 0.05) < 0.5 * silent] = np.nan
+    w[np.arange(t.size) % every != 0] = np.nan
+    event = severe(Drive(Inertial(t, f, w), NO_GNSS), told())
+    assert ("gyro_gap" in codes(event)) is remarked
+    assert ("axes_rotating" in codes(event)) is not used
+    assert event.basis.gyro is used
