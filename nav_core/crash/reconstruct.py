@@ -74,8 +74,8 @@ def _of_group(case: Case, group: list[Finding]) -> CrashEvent:
     earlier, remarks = _mounting_then(case, t0)
     impact = impact_of(earlier, first.window)
     later = tuple(_second(earlier, each) for each in group[1:] if each.kind in SEVERE)
-    event = _severe(earlier, first, impact)
-    return replace(event, kind=kind, second_impacts=later, quality=(*event.quality, *remarks))
+    event = _severe(earlier, first, impact, later)
+    return replace(event, kind=kind, quality=(*event.quality, *remarks))
 
 
 def _mounting_then(case: Case, t0: float) -> tuple[Case, tuple[Remark, ...]]:
@@ -91,7 +91,7 @@ def _mounting_then(case: Case, t0: float) -> tuple[Case, tuple[Remark, ...]]:
     return case_of(case.drive, before), (Remark("mounting_before_change", text),)
 
 
-def _severe(case: Case, finding: Finding, impact: Impact) -> CrashEvent:
+def _severe(case: Case, finding: Finding, impact: Impact, later: tuple[SecondImpact, ...]) -> CrashEvent:
     blow, cloud, known = impact.blow, impact.cloud, impact.known
     t0, t_end = float(blow.t[blow.zero]), float(blow.t[blow.end])
     resultant = cloud.resultant()
@@ -109,7 +109,7 @@ def _severe(case: Case, finding: Finding, impact: Impact) -> CrashEvent:
     pulse = pulse_of(case, impact, resultant.value)
     indices, unfit = indices_of(case, impact, pdof)
     trajectory = trajectory_of(case, impact)
-    rest = rest_of(trajectory, t0)
+    rest = rest_of(trajectory, t0, max([each.t_end for each in later], default=t0))
     return CrashEvent(
         kind=finding.kind,
         t0=t0,
@@ -125,6 +125,7 @@ def _severe(case: Case, finding: Finding, impact: Impact) -> CrashEvent:
         rebound=rebound_of(impact) if case.yaw_known else None,
         pulse=pulse,
         clipped_samples=impact.clipped_samples,
+        second_impacts=later,
         rollover_angle=roll_of(case, finding, t0),
         rest=rest,
         indices=indices,

@@ -119,3 +119,15 @@ def test_a_gyro_that_is_silent_in_the_blow_is_said_and_not_made_up(silent, remar
     assert ("gyro_gap" in codes(event)) is remarked
     assert ("axes_rotating" in codes(event)) is not used
     assert event.basis.gyro is used
+
+
+def test_the_vehicle_is_not_at_rest_before_the_last_blow():
+    t, f = blows((T0, 9.0, 0.0), (T0 + 3.0, 6.0, np.pi), until=30.0)
+    speeds = [9.0, 9.0, 0.0, 0.0, 6.0, 0.0, 0.0]
+    slowing = (t > T0 + 3.1) & (t < T0 + 7.1)
+    f[slowing, 0] -= 1.5
+    gnss = fixes(4.0, [0.0, T0, T0 + 0.1, T0 + 3.0, T0 + 3.1, T0 + 7.1, 30.0], speeds)
+    event = severe(Drive(Inertial(t, f), gnss), told())
+    assert len(event.second_impacts) == 1
+    assert event.rest.t == pytest.approx(T0 + 7.1, abs=0.7)
+    assert event.rest.distance > 8.0
