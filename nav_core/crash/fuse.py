@@ -39,12 +39,15 @@ class Change(NamedTuple):
         1 sigma of the logarithm of the factor on `missing`.
     covariance : ndarray, shape (2, 2)
         Of the rest, m²/s².
+    turn : float
+        1 sigma of the direction of the axes, rad: turns the change and leaves its size.
     """
 
     recorded: Floats
     missing: Floats
     spread: float
     covariance: Floats
+    turn: float = 0.0
 
 
 class Cloud(NamedTuple):
@@ -56,6 +59,8 @@ class Cloud(NamedTuple):
         m/s.
     weights : ndarray, shape (k,)
         Sum 1.
+    mean : ndarray, shape (2,)
+        m/s; of what spreads over an arc, the middle of the arc.
     factor : float
         Mean factor on what was missing.
     fused : bool
@@ -66,14 +71,10 @@ class Cloud(NamedTuple):
 
     points: Floats
     weights: Floats
+    mean: Floats
     factor: float
     fused: bool
     chi2: float
-
-    @property
-    def mean(self) -> Floats:
-        """Mean, m/s, shape (2,)."""
-        return self.weights @ self.points
 
     def component(self, axis: int) -> Estimate:
         """One component, m/s."""
@@ -94,6 +95,19 @@ class Cloud(NamedTuple):
     def of(self, values: Floats) -> Estimate:
         """Mean and interval of any function of the points, shape (k,)."""
         return self._estimate(values, float(self.weights @ values))
+
+    def reaching(self, hidden: float) -> Cloud:
+        """The same where more of the same may be missing: up to `hidden`, m/s, longer; the mean stays."""
+        size = float(np.hypot(*self.mean))
+        if hidden <= 0.0 or size < 1e-9:
+            return self
+        along = self.mean / size
+        across = np.array([-along[1], along[0]])
+        k = np.arange(1, self.weights.size + 1)
+        # Golden and silver ratios: evenly spread over both, and unlike the points' own order.
+        longer = np.mod(0.5 + k * 0.6180339887498949, 1.0)
+        sideways = np.mod(0.5 + k * 0.4142135623730951, 1.0) - 0.5
+        return self._replace(points=self.points + hidden * (np.outer(longer, along) + np.outer(sideways, across)))
 
     def _estimate(self, values: Floats, value: float) -> Estimate:
         low, high = quantiles(values, self.weights, (0.025, 0.975))
@@ -126,7 +140,11 @@ def fuse(change: Change, gps: Floats | None = None, gps_covariance: Floats | Non
     odds = -(FREEDOM + 1.0) * np.log1p(u**2 / FREEDOM)  # twice the logarithm
     factor, prior = np.exp(change.spread * u), np.exp(0.5 * odds)
     centres = change.recorded + factor[:, None] * change.missing
-    covariance, weights, chi2, fused = change.covariance, prior, 0.0, False
+    d = change.recorded + change.missing
+    across = np.array([-d[1], d[0]])
+    covariance = change.covariance + change.turn**2 * np.outer(across, across)
+    share = change.turn**2 * float(d @ d) ** 2 / max(float(across @ covariance @ across), 1e-12)
+    weights, chi2, fused = prior, 0.0, False
     if gps is not None and gps_covariance is not None:
         total = covariance + gps_covariance
         r = gps - centres
@@ -138,8 +156,22 @@ def fuse(change: Change, gps: Floats | None = None, gps_covariance: Floats | Non
             centres, covariance, fused = centres + r @ gain.T, covariance - gain @ covariance, True
     weights = weights / weights.sum()
     root = np.linalg.cholesky(0.5 * (covariance + covariance.T) + 1e-12 * np.eye(2))
-    points = (centres[:, None, :] + (_normal_points() @ root.T)[None]).reshape(-1, 2)
-    return Cloud(points, np.repeat(weights / POINTS, POINTS), float(weights @ factor), fused, chi2)
+    points = _around(centres, _normal_points() @ root.T, share).reshape(-1, 2)
+    mean = weights @ centres
+    return Cloud(points, np.repeat(weights / POINTS, POINTS), mean, float(weights @ factor), fused, chi2)
+
+
+def _around(centres: Floats, off: Floats, share: float) -> Floats:
+    """Points around each centre, shape (n, k, 2): this share of what they are off sideways is a turn.
+
+    Displaced along the tangent instead, an unsure direction would make the magnitude larger.
+    """
+    c, d = (each[:, 0] + 1j * each[:, 1] for each in (centres, off))
+    size = np.maximum(np.abs(c), 1e-9)[:, None]
+    local = d[None] * np.conj(c)[:, None] / size
+    turned = np.exp(1j * share * local.imag / size)
+    points = c[:, None] / size * (size + local.real + 1j * (1.0 - share) * local.imag) * turned
+    return np.stack((points.real, points.imag), axis=-1)
 
 
 def _normal_points() -> Floats:

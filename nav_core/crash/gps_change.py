@@ -25,6 +25,9 @@ REPEAT = 4.0
 LAG_SIGMA = 0.06
 """1 sigma of a lag that the drive has told, s."""
 
+LONGEST_LAG_SIGMA = 0.2
+"""Of a lag less sure than this the fixes do not tell gravity and bias, s."""
+
 UNKNOWN_LAG, UNKNOWN_LAG_SIGMA = 0.35, 0.35
 """Of a receiver of which nothing is known, s."""
 
@@ -46,7 +49,13 @@ SLOW = 1.0
 
 
 LEVEL = 0.08
-"""1 sigma of gravity and bias along the vehicle in the seconds before a blow, m/s²."""
+"""Least 1 sigma of gravity and bias along the vehicle in the seconds before a blow, m/s²."""
+
+LOOK_BACK = 4.0
+"""Gravity and bias are taken from at most this long before a blow, s."""
+
+DIVE = 0.03
+"""1 sigma of the share by which pitching makes a braking look stronger: usual cars dive some 2° per g."""
 
 UNSEEN = 1.5
 """Presumed acceleration where the recording has no samples, m/s²."""
@@ -60,6 +69,14 @@ class Lags(NamedTuple):
     sigma: float
 
 
+class Steady(NamedTuple):
+    """Specific force of gravity and bias alone, V axes, m/s², (3,); 1 sigma of each horizontal one; seconds used."""
+
+    f: Floats
+    sigma: float
+    span: float
+
+
 class Before(NamedTuple):
     """The vehicle's speed at time zero and its 1 sigma, m/s; its course, rad, with 1 sigma; fixes that told."""
 
@@ -68,6 +85,13 @@ class Before(NamedTuple):
     course: float
     course_sigma: float
     fixes: int
+
+
+class Level(NamedTuple):
+    """Specific force of gravity and bias forward and to the right, m/s², (2,), and 1 sigma of the less sure."""
+
+    f: Floats
+    sigma: float
 
 
 class After(NamedTuple):
@@ -115,7 +139,73 @@ def combine(z: Floats, C: Floats) -> tuple[float, float]:
     return float(weight @ z), float(np.sqrt(weight @ C @ weight))
 
 
-def before(gnss: Gnss, lags: Lags, stream: Stream, steady: Floats, t0: float) -> Before | None:
+def level_before(gnss: Gnss, lags: Lags, stream: Stream, t0: float) -> Level | None:
+    """Gravity and bias in the seconds before a blow: what the integral gains over the fixes, per second.
+
+    Both are compared at the moments that the fixes describe, so it does not matter how the vehicle braked between
+    them: ``v_i + int_ti^t0 f dt = v_0 + s (t0 - t_i)`` is fitted for `s`, and ``a_y = v dpsi/dt`` likewise across.
+
+    Parameters
+    ----------
+    gnss : Gnss
+        As `usable` gave it.
+    lags : Lags
+    stream : Stream
+        In V axes.
+    t0 : float
+        Box clock, s.
+
+    Returns
+    -------
+    Level or None
+        None of fewer than four fixes, of a short span, and of a lag that is not known.
+    """
+    first, last = np.searchsorted(stream.t, [t0 - LOOK_BACK - 0.5, t0 + 1e-9])
+    cut = first + 1 + np.flatnonzero(stream.step[first + 1 : last] == 0.0)
+    first = int(cut[-1]) if cut.size else int(first)
+    part = Stream(*(column[first:last] for column in stream))
+    if part.t.size < 2 or lags.sigma > LONGEST_LAG_SIGMA:
+        return None
+    at = gnss.t - lags.speed
+    use = (at >= part.t[0]) & (gnss.t <= t0)
+    if use.sum() < 4 or np.ptp(at[use]) < 0.4 * LOOK_BACK:
+        return None
+    at, speed = at[use], gnss.speed[use]
+    x = np.column_stack([part.f[:, 0], np.ones(part.t.size)])
+    forward, sigma = _fit(part, x, at, speed, np.full(at.size, SPEED_NOISE), lags.sigma, t0)
+    v = np.interp(part.t, at, speed)
+    at = gnss.t - lags.course
+    use = (at >= part.t[0]) & (gnss.t <= t0)
+    course, noise = gnss.course[use], SPEED_NOISE / np.maximum(gnss.speed[use], SLOW)
+    if use.sum() < 4 or not np.isfinite(course).all() or speed.min() < 3.0:
+        return Level(np.array([forward, float(part.f[:, 1].mean())]), sigma)
+    y = np.column_stack([part.f[:, 1] / v, 1.0 / v])
+    right, across = _fit(part, y, at[use], np.asarray(wrap(course - course[-1])), noise, lags.sigma, t0)
+    return Level(np.array([forward, right]), max(sigma, across))
+
+
+def _fit(
+    part: Stream, rates: Floats, at: Floats, z: Floats, noise: Floats, lag_sigma: float, t0: float
+) -> tuple[float, float]:
+    """Constant `s` and its 1 sigma, by which z + int(rates_0 - s rates_1) is the same at each of `at`."""
+    columns = np.column_stack([rates, np.zeros(part.t.size)])
+    stream, zero = part._replace(f=columns), np.zeros(3)
+    gained = _gained(stream, zero, at, t0)[0]
+    late = _gained(stream, zero, at - lag_sigma, t0)[0] - gained
+    x = gained[:, 1] - gained[:, 1].mean()
+    weight = x / (x @ x)
+    value = float(weight @ (z + gained[:, 0]))
+    own = gained[:, 0] - value * gained[:, 1]
+    left = z + own
+    left = (left - left.mean()) / noise
+    # A fit worse than the fixes' noise says so.
+    worse = max(1.0, float(left @ left) / max(at.size - 2, 1))
+    shift = late[:, 0] - value * late[:, 1]
+    C = worse * repeating(at, 1.0) * np.outer(noise, noise) + np.outer(shift, shift) + DIVE**2 * np.outer(own, own)
+    return value, float(np.sqrt(weight @ C @ weight))
+
+
+def before(gnss: Gnss, lags: Lags, stream: Stream, steady: Steady, t0: float) -> Before | None:
     """Speed and course at `t0` from the fixes before it.
 
     Parameters
@@ -125,8 +215,8 @@ def before(gnss: Gnss, lags: Lags, stream: Stream, steady: Floats, t0: float) ->
     lags : Lags
     stream : Stream
         In V axes.
-    steady : ndarray, shape (3,)
-        Specific force of gravity and bias alone, V axes, m/s².
+    steady : Steady
+        Gravity and bias, V axes.
     t0 : float
         Box clock, s.
 
@@ -141,30 +231,30 @@ def before(gnss: Gnss, lags: Lags, stream: Stream, steady: Floats, t0: float) ->
     if not use.any():
         return None
     at, speed = described[use], gnss.speed[use]
-    gained, uncertain = _gained(stream, steady, at, t0, _unsteady(at, speed))
+    gained, uncertain = _gained(stream, steady.f, at, t0, _unsteady(at, speed), steady.sigma)
     z = speed + gained[:, 0]
-    # One error of the level runs through all of them.
-    C = repeating(at, SPEED_NOISE) + np.outer(uncertain, uncertain)
-    shift = _gained(stream, steady, at - lags.sigma, t0)[0][:, 0] - gained[:, 0]
+    # One error of the level runs through all of them, and one of how far the body pitches.
+    C = repeating(at, SPEED_NOISE) + np.outer(uncertain, uncertain) + DIVE**2 * np.outer(gained[:, 0], gained[:, 0])
+    shift = _gained(stream, steady.f, at - lags.sigma, t0)[0][:, 0] - gained[:, 0]
     value, sigma = combine(z, C + np.outer(shift, shift))
     course, course_sigma = _course(gnss, lags, stream, steady, t0)
     return Before(max(value, 0.0), sigma, course, course_sigma, int(use.sum()))
 
 
-def _course(gnss: Gnss, lags: Lags, stream: Stream, steady: Floats, t0: float) -> tuple[float, float]:
+def _course(gnss: Gnss, lags: Lags, stream: Stream, steady: Steady, t0: float) -> tuple[float, float]:
     described = gnss.t - lags.course
     use = (gnss.t <= t0) & (described >= t0 - BEFORE - lags.sigma) & (gnss.speed > SLOW) & np.isfinite(gnss.course)
     if not use.any():
         return float("nan"), float("nan")
     at, speed = described[use], gnss.speed[use]
-    gained, uncertain = _gained(stream, steady, at, t0)
+    gained, uncertain = _gained(stream, steady.f, at, t0, level=steady.sigma)
     # dpsi/dt = a_y / v: what the vehicle still turned until the blow.
     turned = gained[:, 1] / speed
     angles = gnss.course[use] + turned
     reference = angles[-1]
     share, level = SPEED_NOISE / speed, uncertain / speed
     C = repeating(at, 1.0) * np.outer(share, share) + np.outer(level, level)
-    late = (_gained(stream, steady, at - lags.sigma, t0)[0][:, 1] - gained[:, 1]) / speed
+    late = (_gained(stream, steady.f, at - lags.sigma, t0)[0][:, 1] - gained[:, 1]) / speed
     offset, sigma = combine(np.asarray(wrap(angles - reference)), C + np.outer(late, late))
     return float(wrap(np.array(reference + offset))), float(np.hypot(sigma, np.radians(0.3)))
 
@@ -176,7 +266,9 @@ def _unsteady(at: Floats, speed: Floats) -> float:
     return float(np.sqrt((UNSEEN**2 + shown.sum()) / (1.0 + shown.size)))
 
 
-def _gained(stream: Stream, steady: Floats, at: Floats, t0: float, unsteady: float = UNSEEN) -> tuple[Floats, Floats]:
+def _gained(
+    stream: Stream, steady: Floats, at: Floats, t0: float, unsteady: float = UNSEEN, level: float = LEVEL
+) -> tuple[Floats, Floats]:
     """Velocity gained from each moment until `t0`, m/s, shape (k, 3), and its 1 sigma, (k,)."""
     inside = np.clip(at, stream.t[0], t0)
     first, last = np.searchsorted(stream.t, [inside.min(), t0 + 1e-9])
@@ -186,7 +278,7 @@ def _gained(stream: Stream, steady: Floats, at: Floats, t0: float, unsteady: flo
     now = np.array([np.interp(t0, t, v[:, axis]) for axis in range(3)])
     then = np.column_stack([np.interp(inside, t, v[:, axis]) for axis in range(3)])
     unseen = np.maximum(inside - at, 0.0)
-    return now - then, LEVEL * (t0 - inside) + unsteady * unseen
+    return now - then, level * (t0 - inside) + unsteady * unseen
 
 
 def _walks(t: Floats, v: Floats) -> tuple[float, float]:

@@ -10,11 +10,11 @@ from nav_core.crash.case import Case
 from nav_core.crash.clipping import restore
 from nav_core.crash.filters import LEAST_RATE, cfc
 from nav_core.crash.fuse import Change, Cloud, fuse
-from nav_core.crash.gps_change import AFTER, After, Before, after, before
-from nav_core.crash.pulse import LOOK_BACK, Blow, Steady, blow_of, steady_before
+from nav_core.crash.gps_change import AFTER, After, Before, Steady, after, before, level_before
+from nav_core.crash.lacks import Lacks, lacks_of
+from nav_core.crash.pulse import Blow, blow_of, steady_before
 from nav_core.events.trigger import Window
 from nav_core.records import Gnss
-from nav_core.rotation import wrap
 from nav_core.typing import Flags, Floats
 
 MARGIN = 0.5
@@ -58,6 +58,7 @@ class Impact(NamedTuple):
         1 sigma of the logarithm of the missing impulse.
     rough : float
         How far samples are off the mean of their neighbours, share of the pulse.
+    lacks : Lacks
     k : int
         Sample of the maximum resultant.
     cloud : Cloud
@@ -74,6 +75,7 @@ class Impact(NamedTuple):
     clipped_samples: int
     spread: float
     rough: float
+    lacks: Lacks
     k: int
     cloud: Cloud
     known: Before | None
@@ -95,8 +97,8 @@ def impact_of(case: Case, window: Window, *, with_gps: bool = True) -> Impact:
     stream = case.stream
     t0 = float(stream.t[window.zero])
     gnss = case.gnss if with_gps else None
-    gained = None if gnss is None else _gained_before(gnss, case, t0)
-    steady = steady_before(stream, t0, gained if case.yaw_known else None)
+    level = level_before(gnss, case.lags, stream, t0) if gnss is not None and case.yaw_known else None
+    steady = steady_before(stream, t0, level)
     blow = blow_of(stream, window, steady, case.w_v, margin=MARGIN, tail=AFTER + 0.1)
     first = int(np.searchsorted(stream.t, blow.t[0]))
     flags = case.saturation.flags[first : first + blow.t.size]
@@ -106,18 +108,24 @@ def impact_of(case: Case, window: Window, *, with_gps: bool = True) -> Impact:
     smooth = blow.velocity(structural(case, blow, filled))[part]
     k = blow.zero + int(np.argmax(np.hypot(smooth[:, 0], smooth[:, 1])))
 
-    known = None if gnss is None else before(gnss, case.lags, stream, steady.f, t0)
+    known = None if gnss is None else before(gnss, case.lags, stream, steady, t0)
     seen = None
     if gnss is not None and known is not None and case.yaw_known:
         seen = _seen(case, gnss, known, blow, trace)
-    recorded = blow.v[k, :2]
+    recorded, lacks = blow.v[k, :2], lacks_of(blow, case.rate)
     missing = trace[k, :2] - recorded
-    change = Change(recorded, missing, spread, _covariance(case, blow, trace[k, :2], k, steady))
+    change = Change(
+        recorded,
+        missing,
+        spread,
+        _covariance(case, blow, trace[k, :2], k, steady) + lacks.unsure**2 * np.eye(2),
+        _turn(case, blow, k),
+    )
     gps, covariance = None, None
     if seen is not None and known is not None:
         gps = seen.velocity - np.array([known.speed, 0.0]) - (trace[blow.last, :2] - trace[k, :2])
         covariance = seen.covariance + np.diag([known.sigma**2, 0.0])
-    cloud = fuse(change, gps, covariance)
+    cloud = fuse(change, gps, covariance).reaching(lacks.hidden)
     return Impact(
         blow=blow,
         steady=steady,
@@ -126,6 +134,7 @@ def impact_of(case: Case, window: Window, *, with_gps: bool = True) -> Impact:
         clipped_samples=int(flags[part].any(axis=1).sum()),
         spread=spread,
         rough=_rough(blow.a[part]),
+        lacks=lacks,
         k=k,
         cloud=cloud,
         known=known,
@@ -152,21 +161,6 @@ def _rough(a: Floats) -> float:
     return float(np.sqrt(np.mean(off**2) / max(np.mean(a**2), 1e-9)))
 
 
-def _gained_before(gnss: Gnss, case: Case, t0: float) -> Floats | None:
-    """Mean acceleration of the vehicle, forward and to the right, in the seconds before the blow, by the fixes."""
-    at = gnss.t - case.lags.speed
-    use = (at >= t0 - LOOK_BACK - 0.5) & (gnss.t <= t0)
-    if use.sum() < 4 or np.ptp(at[use]) < 0.4 * LOOK_BACK or case.lags.sigma > 0.2:
-        return None
-    x = at[use] - at[use].mean()
-    forward = float(x @ gnss.speed[use] / (x @ x))
-    course, speed = gnss.course[use], gnss.speed[use]
-    if not np.isfinite(course).all() or speed.min() < 3.0:
-        return np.array([forward, 0.0])
-    turned = np.asarray(wrap(course - course[-1]))
-    return np.array([forward, float(x @ turned / (x @ x)) * float(speed.mean())])
-
-
 def _restored(case: Case, blow: Blow, flags: Flags) -> tuple[Floats, float]:
     """Acceleration with an estimate in place of what was clipped, and the spread of that estimate."""
     begin = max(int(np.searchsorted(blow.t, blow.t[blow.zero] - 0.03)), 0)
@@ -187,7 +181,7 @@ def _seen(case: Case, gnss: Gnss, known: Before, blow: Blow, trace: Floats) -> A
 
 
 def _covariance(case: Case, blow: Blow, d: Floats, k: int, steady: Steady) -> Floats:
-    """Of a delta-V that was not clipped: level, vibration, scale, sampling, and the direction of the axes."""
+    """Of a delta-V that was not clipped: level, vibration, scale and sampling."""
     size = float(np.hypot(*d))
     along = d / max(size, 1e-9)
     across = np.array([-along[1], along[0]])
@@ -200,15 +194,19 @@ def _covariance(case: Case, blow: Blow, d: Floats, k: int, steady: Steady) -> Fl
         # Of white noise, a sample is off the mean of its neighbours by 1.5 times the variance.
         noise = rough * float(np.sqrt(np.mean(pulse**2) / 1.5))
         every += noise**2 * max(k - blow.zero, 1) / case.rate**2
-    turned = float(np.arctan2(blow.C[k, 1, 0], blow.C[k, 0, 0]))
-    turn = case.sigma[2] ** 2 + ROTATION**2 + (HELD * turned) ** 2
-    # An open heading leaves the resultant as sure as it is.
-    turn = min(turn, 1.0)
     return (
         every * np.eye(2)
         + (SCALE**2 + alias**2) * size**2 * np.outer(along, along)
-        + (turn + 0.25 * alias**2) * size**2 * np.outer(across, across)
+        + 0.25 * alias**2 * size**2 * np.outer(across, across)
     )
+
+
+def _turn(case: Case, blow: Blow, k: int) -> float:
+    """1 sigma of the direction of the axes, rad."""
+    turned = float(np.arctan2(blow.C[k, 1, 0], blow.C[k, 0, 0]))
+    # Of an open heading no direction is told, and the resultant is as sure as ever.
+    mounted = float(case.sigma[2]) if case.yaw_known else 0.0
+    return float(np.sqrt(mounted**2 + ROTATION**2 + (HELD * turned) ** 2))
 
 
 def _consistent(recorded: Floats, filled: Floats, cloud: Cloud, measured: Floats, missing: Floats) -> Floats:

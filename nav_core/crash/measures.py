@@ -66,6 +66,8 @@ def indices_of(case: Case, impact: Impact, pdof: Estimate | None) -> tuple[Indic
     """Severity indices that the data allow, and why the others are not given."""
     if impact.clipped_samples:
         return Indices(), (Remark("indices_clipped", "ASI, OLC, THIV and PHD are not given for a clipped pulse."),)
+    if impact.lacks.any:
+        return Indices(), (Remark("indices_incomplete", "No severity indices of a pulse that is not whole."),)
     remarks: list[Remark] = []
     blow, rate = impact.blow, case.rate
     if pdof is None or rate < ASI_RATE:

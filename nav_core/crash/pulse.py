@@ -9,27 +9,17 @@ from typing import NamedTuple
 
 import numpy as np
 
+from nav_core.crash.gps_change import LEVEL, LOOK_BACK, Level, Steady
 from nav_core.earth import STANDARD_GRAVITY
 from nav_core.events.trigger import Stream, Window, integrate
 from nav_core.rotation import product, quaternion_to_matrix, rotvec_to_quaternion
 from nav_core.typing import Floats
 
-LOOK_BACK = 4.0
-"""Gravity and bias are taken from at most this long before `t0`, s, ..."""
-
 MARGIN = 0.005
-"""... and until this long before it."""
+"""Gravity and bias are taken until this long before `t0`, s."""
 
 
-class Steady(NamedTuple):
-    """Specific force of gravity and bias alone, V axes, m/s², (3,); 1 sigma of each horizontal one; seconds used."""
-
-    f: Floats
-    sigma: float
-    span: float
-
-
-def steady_before(stream: Stream, t0: float, gained: Floats | None) -> Steady:
+def steady_before(stream: Stream, t0: float, level: Level | None) -> Steady:
     """Gravity and bias from the seconds before the blow.
 
     Parameters
@@ -37,8 +27,8 @@ def steady_before(stream: Stream, t0: float, gained: Floats | None) -> Steady:
     stream : Stream
     t0 : float
         Box clock, s.
-    gained : ndarray, shape (2,), optional
-        Mean forward and rightward acceleration of the vehicle over those seconds by GPS, m/s².
+    level : Level, optional
+        What the fixes tell of it.
 
     Returns
     -------
@@ -46,14 +36,14 @@ def steady_before(stream: Stream, t0: float, gained: Floats | None) -> Steady:
         Without fixes the vehicle's own acceleration stays in it, which the sigma admits.
     """
     first, last = np.searchsorted(stream.t, [t0 - LOOK_BACK, t0 - MARGIN])
-    level = np.array([0.0, 0.0, -STANDARD_GRAVITY])
     if last <= first:
         near = int(np.searchsorted(stream.t, t0))
-        return Steady(stream.rest[min(near, stream.t.size - 1)] if stream.t.size else level, 0.6, 0.0)
+        upright = np.array([0.0, 0.0, -STANDARD_GRAVITY])
+        return Steady(stream.rest[min(near, stream.t.size - 1)] if stream.t.size else upright, 0.6, 0.0)
     part = stream.f[first:last]
     span = float(stream.t[last - 1] - stream.t[first])
-    if gained is not None and span > 0.5 * LOOK_BACK:
-        return Steady(part.mean(axis=0) - np.array([*gained, 0.0]), 0.12, span)
+    if level is not None:
+        return Steady(np.array([*level.f, part[:, 2].mean()]), max(level.sigma, LEVEL), span)
     if span < 0.25 * LOOK_BACK:
         return Steady(part.mean(axis=0), 0.4, span)
     # The median leaves out a short braking; a long one cannot be told from a slope.
@@ -75,6 +65,10 @@ def turn_since(t: Floats, w: Floats) -> Floats:
     return quaternion_to_matrix(q)
 
 
+GYRO_GAP = 0.02
+"""A gyro that misses more than this of a blow does not tell how its axes turned, s."""
+
+
 class Blow(NamedTuple):
     """Samples around a blow in the V axes at time zero.
 
@@ -92,7 +86,9 @@ class Blow(NamedTuple):
         Its integral from time zero, m/s; negative times have what was missed before.
     step : ndarray, shape (n,)
     w : ndarray, shape (n, 3), optional
-        V axes now, rad/s.
+        V axes now, rad/s; None, too, where too many are missing in the blow.
+    gyro_gap : float
+        Longest time within the blow between two rates of a gyro that has usually less, s; else 0.
     """
 
     t: Floats
@@ -104,6 +100,7 @@ class Blow(NamedTuple):
     v: Floats
     step: Floats
     w: Floats | None
+    gyro_gap: float
 
     def velocity(self, a: Floats) -> Floats:
         """Integral from time zero of accelerations on these samples, shape (n, 3)."""
@@ -122,12 +119,27 @@ def blow_of(stream: Stream, window: Window, steady: Steady, w_v: Floats | None, 
     part = slice(first, stop)
     zero = window.zero - first
     f, step = stream.f[part], stream.step[part]
-    w = None if w_v is None or not np.isfinite(w_v[part]).any() else _filled(t[part], w_v[part])
+    w, gyro_gap = None, 0.0
+    if w_v is not None and np.isfinite(w_v[part]).all(axis=1).any():
+        gyro_gap, usual = _unturned(t[part], w_v[part], float(t[window.zero]), float(t[window.last]))
+        if gyro_gap <= max(GYRO_GAP, 2.5 * usual):
+            w = _filled(t[part], w_v[part])
+        if gyro_gap <= 2.5 * usual:
+            gyro_gap = 0.0
     since = np.broadcast_to(np.eye(3), (f.shape[0], 3, 3)) if w is None else turn_since(t[part], w)
     C = since[zero].T @ since
     a = np.einsum("nij,nj->ni", C, f) - steady.f
     v = integrate(a, step)
-    return Blow(t[part], zero, window.end - first, window.last - first, C, a, v - v[zero], step, w)
+    return Blow(t[part], zero, window.end - first, window.last - first, C, a, v - v[zero], step, w, gyro_gap)
+
+
+def _unturned(t: Floats, w: Floats, begin: float, end: float) -> tuple[float, float]:
+    """Longest time without a rate between two moments, and the usual one, s."""
+    known = t[np.isfinite(w).all(axis=1)]
+    usual = float(np.median(np.diff(known))) if known.size > 1 else float(t[-1] - t[0])
+    edges = np.concatenate([t[:1] - usual, known, t[-1:] + usual])
+    across = (edges[1:] > begin) & (edges[:-1] < end)
+    return float(np.diff(edges)[across].max(initial=0.0)), usual
 
 
 def _filled(t: Floats, w: Floats) -> Floats:

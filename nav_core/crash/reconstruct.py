@@ -15,7 +15,7 @@ from nav_core.earth import STANDARD_GRAVITY
 from nav_core.events.classify import Finding, find, scene_of
 from nav_core.events.driving import Manoeuvre, manoeuvres
 from nav_core.events.record import ALGORITHM, Basis, CrashEvent, DeltaV, Estimate, SecondImpact, VehicleClass
-from nav_core.events.trigger import AFTER_END, MULTI_EVENT
+from nav_core.events.trigger import MULTI_EVENT
 from nav_core.records import Drive, MountingEstimate, Remark
 
 SEVERE = ("crash", "rollover", "parked_impact")
@@ -74,8 +74,8 @@ def _of_group(case: Case, group: list[Finding]) -> CrashEvent:
     earlier, remarks = _mounting_then(case, t0)
     impact = impact_of(earlier, first.window)
     later = tuple(_second(earlier, each) for each in group[1:] if each.kind in SEVERE)
-    event = _severe(earlier, first, impact)
-    return replace(event, kind=kind, second_impacts=later, quality=(*event.quality, *remarks))
+    event = _severe(earlier, first, impact, later)
+    return replace(event, kind=kind, quality=(*event.quality, *remarks))
 
 
 def _mounting_then(case: Case, t0: float) -> tuple[Case, tuple[Remark, ...]]:
@@ -91,7 +91,7 @@ def _mounting_then(case: Case, t0: float) -> tuple[Case, tuple[Remark, ...]]:
     return case_of(case.drive, before), (Remark("mounting_before_change", text),)
 
 
-def _severe(case: Case, finding: Finding, impact: Impact) -> CrashEvent:
+def _severe(case: Case, finding: Finding, impact: Impact, later: tuple[SecondImpact, ...]) -> CrashEvent:
     blow, cloud, known = impact.blow, impact.cloud, impact.known
     t0, t_end = float(blow.t[blow.zero]), float(blow.t[blow.end])
     resultant = cloud.resultant()
@@ -109,7 +109,7 @@ def _severe(case: Case, finding: Finding, impact: Impact) -> CrashEvent:
     pulse = pulse_of(case, impact, resultant.value)
     indices, unfit = indices_of(case, impact, pdof)
     trajectory = trajectory_of(case, impact)
-    rest = rest_of(trajectory, t0)
+    rest = rest_of(trajectory, t0, max([each.t_end for each in later], default=t0))
     return CrashEvent(
         kind=finding.kind,
         t0=t0,
@@ -125,6 +125,7 @@ def _severe(case: Case, finding: Finding, impact: Impact) -> CrashEvent:
         rebound=rebound_of(impact) if case.yaw_known else None,
         pulse=pulse,
         clipped_samples=impact.clipped_samples,
+        second_impacts=later,
         rollover_angle=roll_of(case, finding, t0),
         rest=rest,
         indices=indices,
@@ -144,6 +145,9 @@ def _remarks(case: Case, impact: Impact) -> tuple[Remark, ...]:
         count = impact.clipped_samples
         text = f"{count} samples at full scale ({full:.1f} g); the missing impulse is known to {share:.0f} %."
         out.append(Remark("clipped", text))
+    if blow.gyro_gap > 0.0:
+        text = f"The gyro says nothing for {1e3 * blow.gyro_gap:.0f} ms of the event."
+        out.append(Remark("gyro_gap", text))
     if blow.w is None:
         text = "No gyro: delta-V is in the box's own axes, which turn with the vehicle."
         out.append(Remark("axes_rotating", text))
@@ -163,19 +167,20 @@ def _remarks(case: Case, impact: Impact) -> tuple[Remark, ...]:
 def _sampling(case: Case, impact: Impact) -> tuple[Remark, ...]:
     """What must be known of the samples of a blow."""
     out: list[Remark] = []
-    blow = impact.blow
     if impact.rough > ROUGH:
         text = f"Neighbouring samples differ by {100.0 * impact.rough:.0f} % of the pulse: it is sampled too slowly."
         out.append(Remark("aliasing_likely", text))
     elif case.rate < UNFILTERED_RATE:
         text = f"{case.rate:.0f} samples per second: body ringing may fold into delta-V where the box has no filter."
         out.append(Remark("aliasing_possible", text))
-    if blow.zero == 0:
+    lacks = impact.lacks
+    if lacks.starts:
         out.append(Remark("starts_in_event", "The recording begins within the event: delta-V lacks its start."))
-    if blow.t[blow.last] < blow.t[blow.end] + AFTER_END - 1.5 / case.rate:
+    if lacks.ends:
         out.append(Remark("ends_in_event", "The recording ends before the end of integration."))
-    if np.any(blow.step[blow.zero + 1 : blow.last + 1] == 0.0):
-        out.append(Remark("gap_in_event", "Samples are missing within the event; nothing is put in their place."))
+    if lacks.gap > 0.0:
+        text = f"{1e3 * lacks.gap:.0f} ms of samples are missing within the event; the interval is wider by them."
+        out.append(Remark("gap_in_event", text))
     return tuple(out)
 
 
@@ -193,7 +198,7 @@ def _basis(case: Case, t0: float, impact: Impact | None) -> Basis:
         mounting_status=mounting.status,
         mounting_sigma=None if sigma is None else (float(sigma[0]), float(sigma[1]), float(sigma[2])),
         R_va=mounting.R_va,
-        gyro=case.w_v is not None,
+        gyro=case.w_v is not None if impact is None else impact.blow.w is not None,
         fixes_before=0 if known is None else known.fixes,
         fixes_after=0 if seen is None else seen.fixes,
         speed_lag=mounting.speed_lag,

@@ -190,11 +190,14 @@ def _geodetic(place: tuple[float, float, Floats], position: Floats) -> tuple[Flo
     return lat0 + north / float(meridian), lon0 + east / (float(normal) * np.cos(lat0))
 
 
-def rest_of(trajectory: Trajectory | None, t0: float) -> Rest | None:
-    """When and where the vehicle stood for at least a second after the blow; None when that is not recorded."""
+def rest_of(trajectory: Trajectory | None, t0: float, since: float) -> Rest | None:
+    """When and where the vehicle stood for at least a second after the last blow ended, `since`, box clock, s.
+
+    None when that is not recorded.
+    """
     if trajectory is None:
         return None
-    after = trajectory.t > 0.0
+    after = trajectory.t > max(since - t0, 0.0)
     still = after & (trajectory.speed < STOPPED)
     for k in np.flatnonzero(still).tolist():
         later = (trajectory.t >= trajectory.t[k]) & (trajectory.t <= trajectory.t[k] + 1.0)

@@ -136,7 +136,9 @@ ITALIAN = {
 ITALIAN_REMARKS = {
     "clipped": "Alcuni campioni sono a fondo scala; l'impulso mancante è stato stimato.",
     "axes_rotating": "Senza giroscopio: delta-V negli assi della scatola, che ruotano con il veicolo.",
+    "gyro_gap": "Il giroscopio tace per parte dell'evento.",
     "indices_clipped": "ASI, OLC, THIV e PHD non sono dati per un impulso a fondo scala.",
+    "indices_incomplete": "Gli indici di severità non sono dati per un impulso incompleto.",
     "indices_not_given": "Gli indici di severità richiedono il montaggio e almeno 78 Hz.",
     "asi_without_cfc180": "ASI calcolato senza il filtro CFC180, che la frequenza di campionamento non consente.",
     "thiv_needs_gyro": "THIV e PHD richiedono la velocità d'imbardata.",
@@ -152,7 +154,7 @@ ITALIAN_REMARKS = {
     "short_context": "C'è poco contesto prima o dopo l'evento.",
     "starts_in_event": "La registrazione comincia a evento iniziato: a delta-V manca l'inizio.",
     "ends_in_event": "La registrazione finisce prima del termine dell'integrazione.",
-    "gap_in_event": "Mancano campioni entro l'evento; nulla è messo al loro posto.",
+    "gap_in_event": "Mancano campioni entro l'evento; l'intervallo è più largo per questo.",
     "off_centre": "Il veicolo ha ruotato: delta-V è quello della scatola, non del baricentro.",
     "box_turned": "Dopo l'evento la scatola giace diversamente.",
     "free_fall": "La scatola è caduta liberamente prima del colpo.",

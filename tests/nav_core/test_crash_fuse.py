@@ -60,6 +60,14 @@ def test_pdof_turns_with_the_blow_and_its_interval_may_pass_180(angle):
     assert pdof.high - pdof.low == pytest.approx(4.0 * 0.01, rel=0.15)
 
 
+def test_a_direction_not_known_turns_and_makes_nothing_longer():
+    sure = fuse(Change(np.array([-10.0, 0.0]), NOTHING, 0.0, 0.1**2 * np.eye(2))).resultant()
+    cloud = fuse(Change(np.array([-10.0, 0.0]), NOTHING, 0.0, 0.1**2 * np.eye(2), turn=0.3))
+    assert cloud.resultant().high == pytest.approx(sure.high, abs=0.02)
+    assert cloud.resultant().low == pytest.approx(sure.low, abs=0.02)
+    assert cloud.pdof().high == pytest.approx(1.96 * 0.3, rel=0.05)
+
+
 def test_quantiles_of_weighted_points():
     values, weights = np.array([3.0, 1.0, 2.0]), np.array([0.25, 0.5, 0.25])
     assert quantiles(values, weights, (0.25, 0.625, 0.875)) == pytest.approx([1.0, 2.0, 3.0])

@@ -119,11 +119,18 @@ def test_only_events_between_the_times_asked_for(turning):
 
 @pytest.mark.parametrize("rate", [25.0, 50.0, 100.0, 1000.0])
 def test_any_rate(rate):
-    drive, truth = struck(Impact(t=30.0, delta_v=6.0, pdof=0.3, duration=0.12, speed=20.0), accel_rate=rate)
-    (event,) = reconstruct_drive(drive, mounted(truth))
-    assert event.delta_v.resultant.value == pytest.approx(6.0, rel=0.02)
-    assert ("aliasing_possible" in codes(event)) is (rate < 150.0)
-    assert event.pulse.filter == ("CFC60" if rate >= 600.0 else f"none, sampled at {rate:.0f} Hz")
+    impact, found = Impact(t=30.0, delta_v=6.0, pdof=0.3, duration=0.12, speed=20.0), []
+    for seed in (1, 2, 3):
+        drive, truth = struck(impact, accel_rate=rate, seed=seed)
+        event = next(each for each in reconstruct_drive(drive, mounted(truth)) if each.severe)
+        found.append(event.delta_v.resultant.value)
+        if rate < 150.0:
+            assert event.delta_v.resultant.low <= 6.0 <= event.delta_v.resultant.high
+        assert ("aliasing_possible" in codes(event)) is (rate < 150.0)
+        assert event.pulse.filter == ("CFC60" if rate >= 600.0 else f"none, sampled at {rate:.0f} Hz")
+    # Ringing folds into single drives at the lowest rates, either way.
+    assert np.mean(found) == pytest.approx(6.0, rel=0.02 if rate > 30.0 else 0.04)
+    assert found == pytest.approx([6.0] * 3, rel=0.02 if rate > 150.0 else 0.08)
 
 
 def cut(drive, begin, end, *, gnss=None):
@@ -151,7 +158,9 @@ def test_a_gap_within_the_event_is_said():
     t = drive.inertial.t
     keep = (t < 30.06) | (t > 30.075)
     (event,) = reconstruct_drive(Drive(Inertial(t[keep], drive.inertial.f[keep]), drive.gnss), mounted(truth))
-    assert "gap_in_event" in codes(event) or event.delta_v.resultant.value == pytest.approx(8.0, rel=0.03)
+    assert "gap_in_event" in codes(event)
+    assert event.indices.asi_2010 is None
+    assert event.delta_v.resultant.value == pytest.approx(8.0, rel=0.03)
 
 
 def test_an_unknown_mounting_still_gives_the_resultant():

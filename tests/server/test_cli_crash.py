@@ -116,3 +116,36 @@ def test_bad_mountings_are_refused_with_one_line(recording, tmp_path, capsys):
     (event,) = events_of(capsys, folder / "burst.parquet", "--mount", tmp_path / "none.json")
     assert event["delta_v_kmh"]["longitudinal"] is None
     assert event["delta_v_kmh"]["resultant"] == pytest.approx(32.0, rel=0.03)
+
+
+EYE = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+
+
+@pytest.mark.parametrize(
+    ("document", "named"),
+    [
+        ([], "R_va"),
+        ({"R_va": "sideways"}, "R_va"),
+        ({"R_va": [[1.0], [2.0, 3.0]]}, "R_va"),
+        ({"R_va": {"x": 1}}, "R_va"),
+        ({"R_va": EYE, "sigma_deg": {"x": 1.0, "y": 1.0}}, "sigma_deg.z"),
+        ({"R_va": EYE, "sigma_deg": 1.0}, "sigma_deg"),
+        ({"R_va": EYE, "sigma_deg": {"x": 1.0, "y": 1.0, "z": None}}, "sigma_deg.z"),
+        ({"R_va": EYE, "sigma_deg": {"x": 1.0, "y": 1.0, "z": -1.0}}, "sigma_deg"),
+        ({"R_va": EYE, "gps_lag_s": 0.2}, "gps_lag_s"),
+        ({"R_va": EYE, "gps_lag_s": {"speed": "late"}}, "gps_lag_s.speed"),
+        ({"R_va": EYE, "gps_lag_s": {"course": [0.1]}}, "gps_lag_s.course"),
+        ({"R_va": EYE, "changes": 3}, "changes"),
+        ({"R_va": EYE, "changes": [3]}, "changes[0].t_s"),
+        ({"R_va": EYE, "changes": [{"t_s": 3.0}]}, "changes[0].angle_deg"),
+    ],
+)
+def test_a_mount_that_cannot_be_read_is_named_in_one_line(recording, tmp_path, capsys, document, named):
+    folder, _ = recording
+    mount = tmp_path / "MOUNT.json"
+    mount.write_text(json.dumps(document), encoding="utf-8")
+    assert main(["crash", str(folder / "burst.parquet"), "--mount", str(mount)]) == 1
+    said = capsys.readouterr().err
+    assert named in said
+    assert "MOUNT.json" in said
+    assert said.count("\n") == 1
