@@ -19,14 +19,16 @@ def _archive(args: argparse.Namespace) -> int:
 
     try:
         with zipfile.ZipFile(args.archive) as bundle:
-            report = check(bundle.read, bundle.namelist())
+            report = check(bundle.read, bundle.namelist(), args.key)
     except zipfile.BadZipFile as error:
         raise ValueError(f"{args.archive} is no archive of evidence: {error}") from error
     if args.json:
-        print(json.dumps({"passed": report.passed, "checks": report.lines}))
+        print(json.dumps({"passed": report.passed, "checks": report.lines, "limits": report.limits}))
     else:
         for line in report.lines:
             print(f"{'ok   ' if line['passed'] else 'WRONG'}  {line['check']}: {line['detail']}")
+        for limit in report.limits:
+            print(f"note   {limit}")
     if not report.passed:
         print(f"scatola: {args.archive} does not hold", file=sys.stderr)
     return 0 if report.passed else 1
