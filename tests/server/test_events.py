@@ -80,7 +80,11 @@ def test_listing_filters_and_pages(admin, world, event):
     page = admin.get("/api/v1/events", params={"limit": 1}).json()
     assert [e["kind"] for e in page["items"]] == ["crash"]
     assert kinds(before=page["next"]) == ["harsh_braking"]
-    assert admin.get("/api/v1/events", params={"before": "x"}).status_code == 422
+    for before in ("x", "0001-01-01T00:00:00+10:00~x", "9999-12-31T23:59:59-10:00~x"):
+        assert admin.get("/api/v1/events", params={"before": before}).status_code == 422
+    for name in ("from", "to"):
+        for moment in ("0001-01-01T00:00:00+10:00", "9999-12-31T23:59:59-10:00"):
+            assert admin.get("/api/v1/events", params={name: moment}).status_code == 422
     assert admin.get("/api/v1/events", params={"kind": "earthquake"}).status_code == 422
     assert set(KEYS) <= set(event)
     assert event["delta_v_kmh"]["resultant"] == pytest.approx(32.0)
