@@ -59,7 +59,7 @@ def _boxes(args: argparse.Namespace) -> int:
                 "name": each.name,
                 "passed": each.passed,
                 "links": each.links,
-                "erased": each.erased,
+                "revisions": each.revisions,
                 "seals": each.seals,
                 "faults": each.faults,
             }
@@ -68,8 +68,8 @@ def _boxes(args: argparse.Namespace) -> int:
         print(json.dumps({"passed": passed, "devices": told}))
     else:
         for each in audits:
-            more = f", {each.erased} erased" if each.erased else ""
-            print(f"{'ok   ' if each.passed else 'WRONG'}  {each.name}: {each.links} links{more}, {each.seals} seals")
+            counts = f"{each.links} links, {each.seals} seals, {each.revisions} revisions of events"
+            print(f"{'ok   ' if each.passed else 'WRONG'}  {each.name}: {counts}")
             for fault in each.faults:
                 print(f"       {fault}")
     if not passed:
