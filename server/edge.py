@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import Annotated, cast
 
 from fastapi import Depends
+from pydantic import AfterValidator, AwareDatetime
 from starlette.requests import HTTPConnection
 
 from server.accounts.caller import Caller
@@ -43,4 +44,16 @@ async def _now(connection: HTTPConnection) -> dt.datetime:
 SettingsOf = Annotated[Settings, Depends(_settings)]
 DatabaseOf = Annotated[Database, Depends(_database)]
 StoreOf = Annotated[BlobStore, Depends(_store)]
+
+
+def _utc(moment: dt.datetime) -> dt.datetime:
+    try:
+        return moment.astimezone(dt.UTC)
+    except OverflowError:
+        raise ValueError("in UTC this is before the first or after the last day of the calendar") from None
+
+
+Moment = Annotated[AwareDatetime, AfterValidator(_utc)]
+"""A time in a query, with its zone."""
+
 Now = Annotated[dt.datetime, Depends(_now)]

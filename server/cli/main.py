@@ -214,6 +214,7 @@ def _add_service_commands(add: Add) -> None:
         "archive", type=Path, nargs="?", metavar="EVIDENCE.zip", help="default: this installation's data"
     )
     verify.add_argument("--device", metavar="ID", help="one box alone; default: all")
+    verify.add_argument("--key", metavar="HEX", help="public key that must have signed the archive")
     verify.add_argument("--json", action="store_true")
     reprocess = add(
         "reprocess", "reprocess:reprocess", "Compute severe events again from their inputs; new numbers revise."

@@ -19,14 +19,16 @@ def _archive(args: argparse.Namespace) -> int:
 
     try:
         with zipfile.ZipFile(args.archive) as bundle:
-            report = check(bundle.read, bundle.namelist())
+            report = check(bundle.read, bundle.namelist(), args.key)
     except zipfile.BadZipFile as error:
         raise ValueError(f"{args.archive} is no archive of evidence: {error}") from error
     if args.json:
-        print(json.dumps({"passed": report.passed, "checks": report.lines}))
+        print(json.dumps({"passed": report.passed, "checks": report.lines, "limits": report.limits}))
     else:
         for line in report.lines:
             print(f"{'ok   ' if line['passed'] else 'WRONG'}  {line['check']}: {line['detail']}")
+        for limit in report.limits:
+            print(f"note   {limit}")
     if not report.passed:
         print(f"scatola: {args.archive} does not hold", file=sys.stderr)
     return 0 if report.passed else 1
@@ -57,7 +59,7 @@ def _boxes(args: argparse.Namespace) -> int:
                 "name": each.name,
                 "passed": each.passed,
                 "links": each.links,
-                "erased": each.erased,
+                "revisions": each.revisions,
                 "seals": each.seals,
                 "faults": each.faults,
             }
@@ -66,8 +68,8 @@ def _boxes(args: argparse.Namespace) -> int:
         print(json.dumps({"passed": passed, "devices": told}))
     else:
         for each in audits:
-            more = f", {each.erased} erased" if each.erased else ""
-            print(f"{'ok   ' if each.passed else 'WRONG'}  {each.name}: {each.links} links{more}, {each.seals} seals")
+            counts = f"{each.links} links, {each.seals} seals, {each.revisions} revisions of events"
+            print(f"{'ok   ' if each.passed else 'WRONG'}  {each.name}: {counts}")
             for fault in each.faults:
                 print(f"       {fault}")
     if not passed:

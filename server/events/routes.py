@@ -8,7 +8,6 @@ from typing import Annotated, Any, Literal
 
 import orjson
 from fastapi import APIRouter, Path, Query, Request
-from pydantic import AwareDatetime
 from starlette.responses import Response
 
 from server.accounts.access import (
@@ -20,7 +19,7 @@ from server.accounts.access import (
     look_at_places,
 )
 from server.database import Database
-from server.edge import DatabaseOf, Now, StoreOf
+from server.edge import DatabaseOf, Moment, Now, StoreOf
 from server.errors import InvalidError
 from server.events import exports, queries, service
 from server.events.schemas import (
@@ -58,8 +57,8 @@ def list_events(
     severe: Annotated[
         bool | None, Query(description="crashes, rollovers and parked impacts only, or all but them")
     ] = None,
-    since: Annotated[AwareDatetime | None, Query(alias="from")] = None,
-    until: Annotated[AwareDatetime | None, Query(alias="to")] = None,
+    since: Annotated[Moment | None, Query(alias="from")] = None,
+    until: Annotated[Moment | None, Query(alias="to")] = None,
     before: Annotated[str | None, Query(max_length=100)] = None,
     limit: Annotated[int, Query(ge=1, le=500)] = 100,
 ) -> EventPage:
@@ -89,7 +88,7 @@ def _place(before: str) -> tuple[dt.datetime, str]:
     moment, _, event_id = before.partition("~")
     try:
         return dt.datetime.fromisoformat(moment).astimezone(dt.UTC), event_id
-    except ValueError:
+    except (ValueError, OverflowError):  # the last: a day before the first or after the last of the calendar
         raise InvalidError("`before` is not what a page gave as `next`", code="before") from None
 
 
@@ -133,8 +132,11 @@ def read_diff(
 
 
 @router.put("/{event_id}/review")
-def put_review(event_id: EventId, wanted: ReviewIn, caller: Reviewer, database: DatabaseOf, now: Now) -> EventOut:
+def put_review(
+    request: Request, event_id: EventId, wanted: ReviewIn, caller: Reviewer, database: DatabaseOf, now: Now
+) -> EventOut:
     """Confirm an event, call it a false alarm, or open it again."""
+    look_at_places(request, caller)
     with database.transaction() as session:
         event = service.review(
             session, caller.organisation_id, event_id, wanted.verdict, wanted.note, actor=caller.name, now=now
@@ -143,8 +145,11 @@ def put_review(event_id: EventId, wanted: ReviewIn, caller: Reviewer, database: 
 
 
 @router.put("/{event_id}/hold")
-def put_hold(event_id: EventId, wanted: HoldIn, caller: Reviewer, database: DatabaseOf, now: Now) -> EventOut:
+def put_hold(
+    request: Request, event_id: EventId, wanted: HoldIn, caller: Reviewer, database: DatabaseOf, now: Now
+) -> EventOut:
     """Put an event under a legal hold, or release it."""
+    look_at_places(request, caller)
     with database.transaction() as session:
         event = service.hold(
             session,

@@ -1,20 +1,24 @@
-"""Recomputing the chain of a box from the database and the store."""
+"""Recomputing the chain of a box, and the hashes of its events, from the database and the store."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import json
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from hashlib import sha256
 
+import zstandard
 from sqlalchemy import select
 
 from server.database import Database
 from server.errors import ProblemError
+from server.events.canonical import sha256 as canonical_sha256
+from server.events.queries import canonical_bytes
 from server.evidence.seal import timestamp_holds
 from server.evidence.verify import seal_message, signature_holds
 from server.formats.columns import Columns
 from server.ingest.chain import link
-from server.models import Batch, ChainSeal, Device
+from server.models import Batch, ChainSeal, Device, Event, EventRevision
 from server.store import BlobStore
 
 CHUNK = 500
@@ -27,8 +31,7 @@ class Audit:
     device_id: str
     name: str
     links: int = 0
-    erased: int = 0
-    """Links whose raw data are gone; their hashes still hold the chain."""
+    revisions: int = 0
     seals: int = 0
     faults: list[str] = field(default_factory=list[str])
 
@@ -45,7 +48,7 @@ def devices(database: Database, device_id: str | None) -> list[str]:
 
 
 def audit(database: Database, store: BlobStore, device_id: str, *, root_pem: bytes | None = None) -> Audit:
-    """Every link, every blob, every seal of a box."""
+    """Every link, every blob, every seal, every revision of an event of a box."""
     with database.reading() as session:
         device = session.get_one(Device, device_id)
         seals = session.scalars(
@@ -77,7 +80,34 @@ def audit(database: Database, store: BlobStore, device_id: str, *, root_pem: byt
         found.faults.append("the chain does not end where the box's row says")
     for seal in seals:
         _look_at_seal(found, seal, heads, root_pem)
+    for event_id, revision_id in _revisions(database, device_id):
+        with database.reading() as session:
+            _look_at_revision(found, event_id, session.get_one(EventRevision, revision_id))
     return found
+
+
+def _revisions(database: Database, device_id: str) -> Sequence[tuple[str, str]]:
+    """Ids of events and of their revisions; the documents are read one at a time."""
+    query = select(Event.id, EventRevision.id).join(EventRevision, EventRevision.event_id == Event.id)
+    query = query.where(Event.device_id == device_id).order_by(Event.at, Event.id, EventRevision.number)
+    with database.reading() as session:
+        return [(event_id, revision_id) for event_id, revision_id in session.execute(query)]
+
+
+def _look_at_revision(found: Audit, event_id: str, revision: EventRevision) -> None:
+    found.revisions += 1
+    where = f"revision {revision.number} of event {event_id}"
+    try:
+        content = canonical_bytes(revision)
+        told = json.loads(content)["inputs"]
+        inputs = canonical_sha256({name: value for name, value in told.items() if name != "sha256"})
+    except (zstandard.ZstdError, ValueError, LookupError, TypeError, AttributeError):
+        found.faults.append(f"{where} cannot be read")
+        return
+    if sha256(content).hexdigest() != revision.event_sha256:
+        found.faults.append(f"{where} is not what was computed")
+    if not inputs == told["sha256"] == revision.input_sha256:
+        found.faults.append(f"{where}: its inputs are not those that it names")
 
 
 def _batches(database: Database, device_id: str, length: int) -> Iterator[Batch]:
@@ -96,8 +126,8 @@ def _batches(database: Database, device_id: str, length: int) -> Iterator[Batch]
 def _look_at_blobs(found: Audit, store: BlobStore, batch: Batch) -> None:
     try:
         columns = Columns.from_parquet(store.get(batch.blob_key))
-    except KeyError:
-        found.erased += 1
+    except KeyError:  # nothing that was accepted is ever erased
+        found.faults.append(f"link {batch.chain_index}: raw data are missing")
     except ProblemError as problem:
         found.faults.append(f"link {batch.chain_index}: raw data cannot be read: {problem.detail}")
     else:
@@ -107,6 +137,7 @@ def _look_at_blobs(found: Audit, store: BlobStore, batch: Batch) -> None:
         try:
             body = store.get(batch.body_key)
         except KeyError:
+            found.faults.append(f"link {batch.chain_index}: the body is missing")
             return
         if sha256(body).hexdigest() != batch.body_sha256:
             found.faults.append(f"link {batch.chain_index}: the body is not what was uploaded")

@@ -11,20 +11,27 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
+import httpx
 import numpy as np
 import orjson
+import structlog
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
+from server.errors import UnavailableError
 from server.events import exports
 from server.events.queries import newest_seal
-from server.evidence.verify import seal_message
+from server.evidence.seal import public_key, signing_key, timestamp
+from server.evidence.verify import manifest_message, seal_message
 from server.formats.columns import Columns
 from server.formats.tables import write_csv
 from server.ingest.chain import instant
 from server.models import Batch, ChainSeal
 from server.reports.pdf import Heading, report_pdf
+from server.settings import Settings
 from server.store import BlobStore
+
+log = structlog.stdlib.get_logger("scatola.evidence")
 
 _VERIFIER = Path(__file__).with_name("verify.py")
 # A fixed date: the same content gives the same archive.
@@ -32,7 +39,8 @@ _DATE = (2000, 1, 1, 0, 0, 0)
 
 README = """Evidence of one event of a vehicle's telemetry box, by Scatola.
 
-python3 verify.py      checks all of it; needs Python 3.8 or newer and nothing else
+python3 verify.py      checks all of it; needs Python 3.8 or newer and nothing else.  With --key PUBLIC-KEY, the
+                       operator's as you know it from elsewhere, it fails unless that key signed the archive
 
 event.json             everything that was computed, canonical JSON; its SHA-256 is on every page of the report
 report-en.pdf          the report; report-it.pdf the same in Italian
@@ -43,6 +51,10 @@ raw/N.columns          what upload N of the box's chain measured, the very bytes
 raw/N.csv              the same to read; raw/N.body the upload exactly as it came, where it was kept
 chain.json             the links of the box's chain from before the event on
 revisions/K.json       what was computed earlier, from less data or by an older version
+manifest.json          SHA-256 of every file above and below, but for the three that follow
+signature.json         the operator's Ed25519 signature of signature.txt, which holds the manifest's SHA-256, and so
+                       of the whole archive; without it, hashes show damage but do not stand against forgery
+signature.txt, .tsr    what was signed, and the RFC 3161 timestamp of it, where there is one; checked as seal.tsr
 seal.txt, seal.tsr     what was sealed and the RFC 3161 timestamp of it, where there is one:
                        openssl ts -verify -data seal.txt -in seal.tsr -CAfile ROOT-OF-THE-AUTHORITY.pem
 """
@@ -73,8 +85,9 @@ def material(
     session: Session, device_id: str, needed: Sequence[Batch], revisions: Sequence[tuple[int, bytes]]
 ) -> Material:
     """Read the chain and its seal."""
+    seal = newest_seal(session, device_id)  # before the links: they reach at least as far
     links, anchor = links_from(session, device_id, min((batch.chain_index for batch in needed), default=0))
-    return Material(device_id, links, anchor, newest_seal(session, device_id), needed, revisions)
+    return Material(device_id, links, anchor, seal, needed, revisions)
 
 
 def chain_json(material: Material) -> dict[str, Any]:
@@ -115,8 +128,10 @@ def link_json(batch: Batch) -> dict[str, Any]:
     }
 
 
-def archive(material: Material, document: dict[str, Any], heading: Heading, store: BlobStore) -> bytes:
-    """The archive's bytes."""
+def archive(
+    material: Material, document: dict[str, Any], heading: Heading, store: BlobStore, settings: Settings
+) -> bytes:
+    """The archive's bytes; its manifest signed and timestamped as the settings say."""
     number, content = material.revisions[-1]
     files: dict[str, bytes] = {
         "README.txt": README.encode(),
@@ -143,7 +158,32 @@ def archive(material: Material, document: dict[str, Any], heading: Heading, stor
         "files": {name: sha256(data).hexdigest() for name, data in sorted(files.items())},
     }
     files["manifest.json"] = json.dumps(manifest, indent=1).encode()
-    return _zipped(files)
+    return _zipped(files | _signed(files["manifest.json"], settings))
+
+
+def _signed(manifest: bytes, settings: Settings) -> dict[str, bytes]:
+    """Who answers for the manifest, and so for every file; nothing where the operator set neither key nor authority."""
+    message = manifest_message(manifest)
+    try:
+        key = signing_key(settings)
+    except OSError as error:  # never unsigned where the operator signs
+        log.exception("the signing key cannot be read")
+        raise UnavailableError("The key that signs archives cannot be read", code="signing_key") from error
+    token = None
+    if settings.timestamp_url is not None:
+        try:
+            token = timestamp(settings.timestamp_url, message)
+        except (httpx.HTTPError, ValueError):  # evidence is given all the same, and says that it is not stamped
+            log.warning("an archive of evidence was not timestamped", exc_info=True)
+    if key is None and token is None:
+        return {}
+    told = {
+        "public_key": None if key is None else public_key(key),
+        "signature": None if key is None else key.sign(message).hex(),
+        "timestamped": token is not None,
+    }
+    files = {"signature.json": json.dumps(told, indent=1).encode(), "signature.txt": message}
+    return files if token is None else {**files, "signature.tsr": token}
 
 
 def _raw(batch: Batch, store: BlobStore) -> dict[str, bytes]:
@@ -153,7 +193,7 @@ def _raw(batch: Batch, store: BlobStore) -> dict[str, bytes]:
         found[f"raw/{batch.chain_index}.columns"] = hashed_bytes(columns)
         found[f"raw/{batch.chain_index}.csv"] = write_csv(columns)
     except KeyError:
-        pass  # erased: the chain still holds its hashes, and the verifier says so
+        pass  # gone: the chain still holds its hashes, and the verifier finds it missing
     if batch.body_key is not None and store.exists(batch.body_key):
         found[f"raw/{batch.chain_index}.body"] = store.get(batch.body_key)
     return found

@@ -6,7 +6,7 @@ from fastapi import APIRouter
 from starlette.responses import Response
 
 from server.accounts.access import LocationReader, RawReader
-from server.edge import DatabaseOf, StoreOf
+from server.edge import DatabaseOf, SettingsOf, StoreOf
 from server.events import queries
 from server.events.routes import EventId, attachment, subject_of
 from server.evidence.package import archive, material
@@ -23,12 +23,17 @@ MEDIA_TYPE = "application/zip"
     responses={200: {"content": {MEDIA_TYPE: {"schema": {"type": "string", "format": "binary"}}}}},
 )
 def read_evidence(
-    event_id: EventId, caller: RawReader, _located: LocationReader, database: DatabaseOf, store: StoreOf
+    event_id: EventId,
+    caller: RawReader,
+    _located: LocationReader,
+    database: DatabaseOf,
+    store: StoreOf,
+    settings: SettingsOf,
 ) -> Response:
     """Raw data, report, event, chain, and a verifier that needs nothing but Python."""
     subject = subject_of(database, caller, event_id, None)
     with database.reading() as session:
         revisions = [(row.number, queries.canonical_bytes(row)) for row in queries.revisions(session, event_id)]
         found = material(session, subject.event.device_id, subject.batches, revisions)
-    content = archive(found, subject.document, heading_of(subject), store)
+    content = archive(found, subject.document, heading_of(subject), store, settings)
     return attachment(content, MEDIA_TYPE, subject, "evidence.zip")

@@ -41,6 +41,11 @@ def signing_key(settings: Settings) -> Ed25519PrivateKey | None:
     return key
 
 
+def public_key(key: Ed25519PrivateKey) -> str:
+    """The key's public half, hexadecimal."""
+    return key.public_key().public_bytes(Encoding.Raw, PublicFormat.Raw).hex()
+
+
 def is_on(settings: Settings) -> bool:
     """Whether the operator wants seals."""
     return settings.signing_key_file is not None or settings.timestamp_url is not None
@@ -86,13 +91,12 @@ def seal_waiting(database: Database, settings: Settings, *, now: dt.datetime) ->
 def seal(device: Device, key: Ed25519PrivateKey | None, timestamp_url: str | None, *, now: dt.datetime) -> ChainSeal:
     """A seal of the device's chain as it stands in the row."""
     message = seal_message(device.id, device.chain_length, device.chain_head)
-    public = None if key is None else key.public_key().public_bytes(Encoding.Raw, PublicFormat.Raw).hex()
     return ChainSeal(
         device_id=device.id,
         chain_length=device.chain_length,
         chain_head=device.chain_head,
         sealed_at=now,
-        public_key=public,
+        public_key=None if key is None else public_key(key),
         signature=None if key is None else key.sign(message).hex(),
         timestamp_token=None if timestamp_url is None else timestamp(timestamp_url, message),
     )

@@ -1,25 +1,37 @@
-"""Check an archive of evidence: `python3 verify.py` in its folder, or `python3 verify.py ARCHIVE.zip`.
+"""Check an archive of evidence: `python3 verify.py [ARCHIVE.zip or its folder] [--key PUBLIC-KEY]`.
 
-Needs Python 3.8 or newer and nothing else, no network and no other file of Scatola.  It answers four questions:
+Needs Python 3.8 or newer and nothing else, no network and no other file of Scatola.  It answers five questions:
 
 1. Are the files those that the archive lists?  (manifest.json: SHA-256 of each)
-2. Are the raw data those that the box uploaded?  (columns and bodies against the hashes in chain.json)
-3. Is the chain unbroken from before the event to its end in this archive?  (each link from the one before)
-4. Was the chain's end sealed?  (Ed25519 signature; the digest in the RFC 3161 timestamp)
+2. Did the operator sign that list?  (signature.json: Ed25519; signature.tsr: RFC 3161 timestamp)
+3. Are the raw data those that the box uploaded?  (columns and bodies against the hashes in chain.json)
+4. Is the chain unbroken from before the event to its end in this archive?  (each link from the one before)
+5. Was the chain's end sealed?  (Ed25519 signature; the digest in the RFC 3161 timestamp)
 
-and checks that event.json is canonical, names these raw data, and has the hash that the report prints.
-The signature tells who sealed it only if you know the public key from elsewhere; compare it.
+and checks that event.json is canonical and names these raw data, and that the tables tell what it tells.
+
+Hashes alone show damage, not forgery: whoever alters a file can compute them again.  Only a signature stands against
+that, and only by a key that you know from elsewhere: give its public half with --key, and anything not signed by it
+fails.  Take this program from elsewhere too where you do not trust the archive.
 """
 
 # It must run anywhere and stand alone, so it prints and repeats what the service says elsewhere.
-# ruff: noqa: T201, UP006, UP035
+# ruff: noqa: B905, T201, UP006, UP035, UP045
 
+import csv
 import hashlib
+import io
 import json
+import math
+import struct
 import sys
 import zipfile
+import zlib
 from pathlib import Path
-from typing import Any, Callable, Dict, List, Set, Tuple
+from typing import Any, Callable, Dict, List, Optional, Set, Tuple
+
+# What cannot stand in the manifest, which is what they are about.
+OUTSIDE = ("manifest.json", "signature.json", "signature.txt", "signature.tsr")
 
 Point = Tuple[int, int, int, int]
 
@@ -96,6 +108,11 @@ def seal_message(device_id: str, length: int, head: str) -> bytes:
     return "\n".join(("scatola-seal-1", device_id, str(length), head)).encode()
 
 
+def manifest_message(manifest: bytes) -> bytes:
+    """What the signature of an archive signs and has timestamped."""
+    return ("scatola-manifest-1\n" + hashlib.sha256(manifest).hexdigest()).encode()
+
+
 def canonical(document: Any) -> bytes:
     """The canonical form: numbers were rounded when it was written, so writing it again gives the same bytes."""
     return json.dumps(document, sort_keys=True, separators=(",", ":"), ensure_ascii=False).encode()
@@ -106,6 +123,8 @@ class Report:
 
     def __init__(self) -> None:
         self.lines: List[Dict[str, Any]] = []
+        self.limits: List[str] = []
+        """What nothing here stands against."""
 
     def add(self, what: str, good: bool, detail: str = "") -> None:
         self.lines.append({"check": what, "passed": bool(good), "detail": detail})
@@ -115,31 +134,68 @@ class Report:
         return all(line["passed"] for line in self.lines)
 
 
-def check(read: Callable[[str], bytes], names: List[str]) -> Report:
-    """All checks of an archive whose files `read` gives."""
+def check(read: Callable[[str], bytes], names: List[str], key: Optional[str] = None) -> Report:
+    """All checks of an archive whose files `read` gives; with a public key (hex), only what it signed holds."""
     report = Report()
     try:
         manifest = json.loads(read("manifest.json"))
-        chain = json.loads(read("chain.json"))
         _check_files(report, manifest, read, names)
+        chain = json.loads(read("chain.json"))
+        _check_signature(report, chain, read, names, key)
         _check_chain(report, chain)
-        _check_raw(report, chain, read, set(names))
         _check_event(report, manifest, chain, read)
-        _check_seal(report, chain, read)
-    except (KeyError, ValueError, TypeError) as error:
-        report.add("the archive can be read", False, repr(error))
+        _check_raw(report, chain, json.loads(read("event.json")), read, set(names))
+        _check_tables(report, chain, read, set(names))
+        _check_seal(report, chain, read, set(names))
+    except (
+        ArithmeticError,
+        AttributeError,
+        LookupError,
+        OSError,
+        TypeError,
+        ValueError,
+        struct.error,
+        zlib.error,
+        zipfile.BadZipFile,
+    ) as error:
+        report.add("the archive can be read", False, f"{type(error).__name__}: {error}")
     return report
 
 
 def _check_files(report: Report, manifest: Dict[str, Any], read: Callable[[str], bytes], names: List[str]) -> None:
     listed = manifest["files"]
     wrong = [n for n, told in listed.items() if n not in names or hashlib.sha256(read(n)).hexdigest() != told]
-    extra = [n for n in names if n not in listed and n != "manifest.json"]
-    report.add(
-        "files are those of the manifest",
-        not wrong and not extra,
-        ", ".join([*wrong, *extra]) or f"{len(listed)} files",
-    )
+    wrong += [n for n in names if (n not in listed and n not in OUTSIDE) or names.count(n) > 1]
+    report.add("files are those of the manifest", not wrong, ", ".join(wrong) or f"{len(listed)} files")
+
+
+def _check_signature(
+    report: Report, chain: Dict[str, Any], read: Callable[[str], bytes], names: List[str], key: Optional[str]
+) -> None:
+    """Whether somebody answers for the manifest, and so for every file."""
+    told = json.loads(read("signature.json")) if "signature.json" in names else {}
+    message = manifest_message(read("manifest.json"))
+    signed, stamped = told.get("signature") is not None, bool(told.get("timestamped"))
+    if signed:
+        good = signature_holds(bytes.fromhex(told["public_key"]), message, bytes.fromhex(told["signature"]))
+        report.add("the signature of the manifest holds", good, f"every file, Ed25519 key {told['public_key']}")
+    if stamped or "signature.tsr" in names:
+        inside = hashlib.sha256(message).digest() in read("signature.tsr")
+        report.add("the timestamp is of this manifest", inside, "see README.txt for openssl")
+    if signed or stamped or "signature.txt" in names:
+        report.add("signature.txt is what was signed", read("signature.txt") == message)
+    if key is not None:
+        report.add("signed by the key that you gave", signed and told["public_key"].lower() == key.lower(), key)
+    elif signed:
+        report.limits.append("whose key signed it: compare it with the operator's, or give that with --key")
+    if not signed:
+        # An operator who signs seals signs archives; one without is one whose signature was taken away.
+        sealed = chain["seal"] is not None and chain["seal"]["signature"] is not None
+        report.add("the manifest is signed", not sealed, "no" + (", though the seal is" if sealed else ""))
+        report.limits.append(
+            "NOT SIGNED: event.json, reports, tables and revisions are tied to each other by hashes alone, which "
+            "whoever alters them can compute again; compare the SHA-256 of event.json with one known from elsewhere"
+        )
 
 
 def _check_chain(report: Report, chain: Dict[str, Any]) -> None:
@@ -158,7 +214,9 @@ def _check_chain(report: Report, chain: Dict[str, Any]) -> None:
     report.add("the chain is unbroken", head == chain["head"], f"{len(chain['links'])} links {where}")
 
 
-def _check_raw(report: Report, chain: Dict[str, Any], read: Callable[[str], bytes], names: Set[str]) -> None:
+def _check_raw(
+    report: Report, chain: Dict[str, Any], document: Dict[str, Any], read: Callable[[str], bytes], names: Set[str]
+) -> None:
     wrong: List[str] = []
     columns = bodies = 0
     for row in chain["links"]:
@@ -167,11 +225,66 @@ def _check_raw(report: Report, chain: Dict[str, Any], read: Callable[[str], byte
             if name in names:
                 wrong += [name] if hashlib.sha256(read(name)).hexdigest() != row[key] else []
                 columns, bodies = columns + (suffix == "columns"), bodies + (suffix == "body")
-    erased = [str(index) for index in chain["needed"] if f"raw/{index}.columns" not in names]
-    told = f"{columns} uploads, of {bodies} also the body as it came" + (
-        f"; erased: {', '.join(erased)}" if erased else ""
-    )
+    told = f"{columns} uploads, of {bodies} also the body as it came"
     report.add("raw data are those in the chain", not wrong, ", ".join(wrong) or told)
+    needed = {*chain["needed"], *(batch["chain_index"] for batch in document["inputs"]["batches"])}
+    gone = [f"raw/{index}.columns" for index in sorted(needed) if f"raw/{index}.columns" not in names]
+    report.add(
+        "raw data are there of all that the event rests on", not gone, ", ".join(gone) or f"{len(needed)} uploads"
+    )
+
+
+def columns_of(content: bytes) -> Dict[str, Tuple[float, ...]]:
+    """What a .columns file holds, NaN where not sampled."""
+    start = content.index(b"\n") + 1
+    if content[:start] != b"scatola-columns-1\n":
+        raise ValueError("not columns of this kind")
+    found: Dict[str, Tuple[float, ...]] = {}
+    while start < len(content):
+        end = content.index(b"\n", start)
+        name, _, rows = content[start:end].decode().rsplit(" ", 2)
+        found[name] = struct.unpack_from(f"<{int(rows)}d", content, end + 1)
+        start = end + 1 + 8 * int(rows)
+    return found
+
+
+def _check_tables(report: Report, chain: Dict[str, Any], read: Callable[[str], bytes], names: Set[str]) -> None:
+    """Whether what is there to be read by people tells what the hashes are of."""
+    wrong: List[str] = []
+    for name in sorted(n for n in names if n.startswith("raw/") and n.endswith(".csv")):
+        source = name[: -len("csv")] + "columns"
+        wrong += [] if source in names and _same_table(read(name), columns_of(read(source))) else [name]
+    wrong += [
+        f"raw/{row['chain_index']}.csv"
+        for row in chain["links"]
+        if f"raw/{row['chain_index']}.columns" in names and f"raw/{row['chain_index']}.csv" not in names
+    ]
+    report.add("raw/N.csv tell what raw/N.columns hold", not wrong, ", ".join(wrong))
+    content = read("event.json")
+    document, elements = json.loads(content), json.loads(read("edr.json"))
+    same = [
+        elements.get("event_sha256") == hashlib.sha256(content).hexdigest(),
+        elements.get("t0_s") == document["event"]["t0_s"],
+        elements.get("device_id") == document["subject"]["device_id"] == chain["device_id"],
+        elements.get("elements")
+        == [{**row, "values": row["values"] if row["recorded"] else "not recorded"} for row in document["edr"]],
+    ]
+    report.add("edr.json tells what event.json tells", all(same))
+
+
+def _same_table(text: bytes, columns: Dict[str, Tuple[float, ...]]) -> bool:
+    """Whether a table of text holds these columns, nothing where not sampled."""
+    head, *rows = csv.reader(io.StringIO(text.decode(), newline=""))
+    if head != list(columns) or any(len(values) != len(rows) for values in columns.values()):
+        return False
+    return all(
+        len(row) == len(head) and all(_same_cell(cell, values[k]) for cell, values in zip(row, columns.values()))
+        for k, row in enumerate(rows)
+    )
+
+
+def _same_cell(cell: str, value: float) -> bool:
+    return cell == "" if math.isnan(value) else cell != "" and float(cell) == value
 
 
 def _check_event(report: Report, manifest: Dict[str, Any], chain: Dict[str, Any], read: Callable[[str], bytes]) -> None:
@@ -179,7 +292,7 @@ def _check_event(report: Report, manifest: Dict[str, Any], chain: Dict[str, Any]
     document = json.loads(content)
     hashed = hashlib.sha256(content).hexdigest()
     report.add("event.json is canonical", canonical(document) == content, hashed)
-    report.add("its hash is the one that the report prints", hashed == manifest["event_sha256"], hashed)
+    report.add("its hash is the one in the manifest", hashed == manifest["event_sha256"], hashed)
     links = {row["chain_index"]: row for row in chain["links"]}
     batches = document["inputs"]["batches"]
     same = all(
@@ -193,15 +306,14 @@ def _check_event(report: Report, manifest: Dict[str, Any], chain: Dict[str, Any]
     report.add("the hash of its inputs holds", hashed == document["inputs"]["sha256"], hashed)
 
 
-def _check_seal(report: Report, chain: Dict[str, Any], read: Callable[[str], bytes]) -> None:
+def _check_seal(report: Report, chain: Dict[str, Any], read: Callable[[str], bytes], names: Set[str]) -> None:
     seal = chain["seal"]
     if seal is None:
-        report.add(
-            "sealed", True, "no: the operator set neither key nor time-stamping authority, or the seal is to come"
-        )
+        told = "no: the operator set neither key nor time-stamping authority, or the seal is to come"
+        report.add("sealed", not names & {"seal.txt", "seal.tsr"}, told)
+        report.limits.append("NOT SEALED: the chain of uploads is tied to nothing outside this archive")
         return
-    covered = [row["chain_sha256"] for row in chain["links"] if row["chain_index"] + 1 == seal["chain_length"]]
-    report.add("the seal is one of this chain", covered == [seal["chain_head"]], f"link {seal['chain_length'] - 1}")
+    _check_covered(report, chain, seal)
     message = seal_message(chain["device_id"], seal["chain_length"], seal["chain_head"])
     if seal["signature"] is not None:
         key, signature = bytes.fromhex(seal["public_key"]), bytes.fromhex(seal["signature"])
@@ -209,28 +321,48 @@ def _check_seal(report: Report, chain: Dict[str, Any], read: Callable[[str], byt
     if seal["timestamped"]:
         # Its own signature is the authority's: openssl ts -verify -data seal.txt -in seal.tsr -CAfile ROOT.pem
         inside = hashlib.sha256(message).digest() in read("seal.tsr")
-        report.add(
-            "the timestamp is of this seal", inside and read("seal.txt") == message, "see README.txt for openssl"
-        )
+        report.add("the timestamp is of this seal", inside, "see README.txt for openssl")
+    report.add("seal.txt is what was sealed", read("seal.txt") == message)
+
+
+def _check_covered(report: Report, chain: Dict[str, Any], seal: Dict[str, Any]) -> None:
+    """Whether the seal is of this chain, as far as the archive reaches, and what it leaves out."""
+    first, length, what = chain["first_index"], seal["chain_length"], "the seal is one of this chain"
+    heads = {first: chain["anchor"], **{row["chain_index"] + 1: row["chain_sha256"] for row in chain["links"]}}
+    if length < first:
+        report.add(what, True, f"sealed at link {length - 1}, before this archive begins; not covered")
+    else:
+        report.add(what, heads.get(length) == seal["chain_head"], f"link {length - 1}")
+    left = [str(index) for index in chain["needed"] if index >= length]
+    if left:
+        report.limits.append(f"NOT SEALED YET: uploads {', '.join(left)}, on which the event rests")
 
 
 def main(arguments: List[str]) -> int:
     """Check a folder or an archive and say so."""
-    place = Path(arguments[1]) if len(arguments) > 1 else Path(__file__).resolve().parent
+    words, key = list(arguments[1:]), None
+    if "--key" in words:
+        at = words.index("--key")
+        key = "".join(words[at + 1 : at + 2])
+        del words[at : at + 2]
+    place = Path(words[0]) if words else Path(__file__).resolve().parent
     if place.is_dir():
         names = sorted(
             p.relative_to(place).as_posix() for p in place.rglob("*") if p.is_file() and "__pycache__" not in p.parts
         )
-        report = check(lambda name: (place / name).read_bytes(), names)
+        report = check(lambda name: (place / name).read_bytes(), names, key)
     else:
-        with zipfile.ZipFile(place) as archive:
-            report = check(archive.read, archive.namelist())
+        try:
+            with zipfile.ZipFile(place) as archive:
+                report = check(archive.read, archive.namelist(), key)
+        except (OSError, zipfile.BadZipFile) as error:
+            report = Report()
+            report.add("the archive can be read", False, str(error))
     for line in report.lines:
-        print(
-            ("  ok    " if line["passed"] else "  WRONG ")
-            + line["check"]
-            + (f": {line['detail']}" if line["detail"] else "")
-        )
+        mark = "  ok    " if line["passed"] else "  WRONG "
+        print(mark + line["check"] + (f": {line['detail']}" if line["detail"] else ""))
+    for limit in report.limits:
+        print("  note  " + limit)
     print("Everything holds." if report.passed else "SOMETHING DOES NOT HOLD.")
     return 0 if report.passed else 1
 

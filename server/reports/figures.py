@@ -32,7 +32,7 @@ def sentences(document: dict[str, Any], words: Words, at: dt.datetime) -> list[s
             kind=words(event["kind"]),
             date=words.date(at.year, at.month, at.day),
             time=clock_time(at, words),
-            sigma=number(sigma, 2),
+            sigma=words.spread(sigma),
         )
     ]
     if event["pdof_deg"] is not None:
@@ -102,7 +102,7 @@ def number_rows(event: dict[str, Any], words: Words) -> list[Row]:
     add("n_speed", event["impact_speed_kmh"], event["impact_speed_interval95_kmh"], "km/h")
     add("n_rebound", event["rebound_kmh"], event["rebound_interval95_kmh"], "km/h")
     add("n_peak", pulse["peak_g"], None, f"g, {words('at_least')}" if pulse["peak_is_lower_bound"] else "g")
-    rows.append((words("n_filter"), pulse["filter"], "\N{EN DASH}", ""))
+    rows.append((words("n_filter"), words.peak_filter(pulse["filter"]), "\N{EN DASH}", ""))
     add("n_mean", pulse["mean_g"], None, "g")
     add("n_duration", pulse["duration_ms"], None, "ms", 0)
     add("n_measured", pulse["measured_delta_v_kmh"], None, "km/h")
@@ -126,7 +126,8 @@ def risk_rows(event: dict[str, Any], words: Words) -> list[tuple[str, str, str, 
         value = next(value for name, value in risk.items() if name.startswith("p_"))
         interval = [100.0 * end for end in risk["interval95"]]
         told = f"{words.number(100.0 * value, 1)} %"
-        rows.append((risk["curve"], risk["population"], risk["level"], told, words.interval(interval, 1)))
+        whom, level = words.risk(risk["population"]), words.risk(risk["level"])
+        rows.append((risk["curve"], whom, level, told, words.interval(interval, 1)))
     return rows
 
 

@@ -86,11 +86,12 @@ def subject_table(document: dict[str, Any], heading: Heading, words: Words, at: 
     vehicle = heading.vehicle_name or words("no_vehicle")
     vehicle += f" ({words(document['inputs']['vehicle_class'])})" if heading.vehicle_name else ""
     when = f"{words.date(at.year, at.month, at.day)}, {clock_time(at, words)}"
+    clock = f"{words('boot')} {document['subject']['boot']}: {words.number(document['event']['t0_s'], 3)} s"
     rows = [
         (words("vehicle"), vehicle),
         (words("plate"), heading.plate or words("not_recorded")),
         (words("box"), f"{heading.device_name} · {document['subject']['device_id']}"),
-        (words("time"), f"{when} · {words('boot')} {document['subject']['boot']}: {document['event']['t0_s']:.3f} s"),
+        (words("time"), f"{when} · {clock}"),
         (words("place"), place),
     ]
     return _pairs(rows, width)
@@ -209,7 +210,7 @@ def maps(document: dict[str, Any], words: Words, width: float) -> tuple[Table, s
     near = WayMap(way, words, half, 235, title=words("map_near"), span_s=(-3.0, 8.0), rest=rest)
     table = Table([[whole, near]], colWidths=[half + 10, half])
     table.setStyle(TableStyle([("LEFTPADDING", (0, 0), (-1, -1), 0), ("RIGHTPADDING", (0, 0), (-1, -1), 0)]))
-    return table, words("map_note", grid=f"{whole.grid:g}; {near.grid:g}")
+    return table, words("map_note", grid=f"{words.short(whole.grid)}; {words.short(near.grid)}")
 
 
 def driver_tables(event: dict[str, Any], words: Words, width: float) -> list[Flowable]:
@@ -249,7 +250,7 @@ def provenance_tables(document: dict[str, Any], event_sha256: str, words: Words,
         (words("p_event"), Paragraph(event_sha256, HASH)),
         (words("p_inputs"), Paragraph(inputs["sha256"], HASH)),
         (words("p_mounting"), f"{mounting['method']} · {mounting['algorithm'] or words('not_recorded')}"),
-        (words("p_clock"), words(how, s=words.number(clock["utc_sigma_s"], 2))),
+        (words("p_clock"), words(how, s=words.spread(clock["utc_sigma_s"]))),
     ]
     heads: list[Any] = [words(key) for key in ("p_link", "p_stream", "p_span", "p_body", "p_columns")]
     # The batches that hold time zero are never among those left out.

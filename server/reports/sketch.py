@@ -231,7 +231,7 @@ class WayMap(Flowable):
         polyline(canvas, [(x, y + 3), (x, y), (x + length, y), (x + length, y + 3)], INK, 0.9)
         canvas.setFont(PLAIN, 7)
         canvas.setFillColor(INK)
-        canvas.drawCentredString(x + length / 2, y + 3, f"{self.grid:g} m")
+        canvas.drawCentredString(x + length / 2, y + 3, f"{self._words.short(self.grid)} m")
         # North.
         nx, ny = self.width - 12, self.height - 42
         polyline(canvas, [(nx, ny), (nx, ny + 16)], INK, 0.9)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Literal
 
 Language = Literal["en", "it"]
@@ -19,7 +20,7 @@ ENGLISH = {
     "no_vehicle": "not assigned to a vehicle", "not_recorded": "not recorded",
     "page": "Page {page} of {pages}", "foot": "Canonical event JSON, SHA-256 {hash}",
     "summary": "What the box recorded",
-    "s_what": "{kind} on {date} at {time} UTC (± {sigma} s).",
+    "s_what": "{kind} on {date} at {time} UTC ({sigma}).",
     "s_force": "The force came from {where} ({clock} o'clock), at {pdof}° from straight ahead, clockwise; with 95 % probability between {low}° and {high}°.",
     "s_dv": "The velocity of the vehicle changed by {dv} km/h; with 95 % probability by {low} to {high} km/h.",
     "s_speed": "Just before the impact it moved at {v} km/h ({low} to {high} km/h).",
@@ -63,11 +64,12 @@ ENGLISH = {
     "yes": "yes", "no": "no", "ready": "known", "settling": "known, not yet sure", "insufficient": "not known", "not_fixed": "the box was not fixed",
     "provenance": "Where this comes from", "p_text": "This report was made from the canonical event JSON whose hash stands at the foot of every page. That JSON is computed from the uploads below, whose hashes are links of the box's chain. The same inputs and the same version give the same bytes.",
     "p_software": "Software", "p_algorithm": "Algorithm", "p_inputs": "SHA-256 of the inputs", "p_event": "SHA-256 of the event JSON", "p_mounting": "Mounting estimate", "p_clock": "Clock of the box",
-    "p_clock_gnss": "by GPS, ± {s} s", "p_clock_arrival": "by the time of arrival, ± {s} s", "p_link": "Link", "p_stream": "Stream", "p_span": "Box clock [s]", "p_rows": "Rows", "p_body": "SHA-256 of the body as it came", "p_columns": "SHA-256 of its columns",
+    "p_clock_gnss": "by GPS, {s}", "p_clock_arrival": "by the time of arrival, {s}", "p_link": "Link", "p_stream": "Stream", "p_span": "Box clock [s]", "p_rows": "Rows", "p_body": "SHA-256 of the body as it came", "p_columns": "SHA-256 of its columns",
     "p_verify": 'To check: download the evidence archive of this event and run <font name="Scatola-Mono">python3 verify.py</font> in it; it needs nothing but Python. <font name="Scatola-Mono">scatola verify</font> checks a whole box.',
     "conventions": "Conventions", "c_text": "Axes by SAE J211: x forward, y right, z down. Delta-V is the change of velocity of the box in the vehicle's axes at time zero. Time zero, end of event and element names follow 49 CFR 563; this is not the output of the vehicle's own event data recorder. ISO/TR 12353-3 guides the use of recorded pulses. An interval holds the truth with 95 % probability. What the box cannot know is \"not recorded\".",
     "burst": "burst", "continuous": "continuous",
     "link_more": "and {n} more in the evidence archive",
+    "spread": "± {s} s", "spread_small": "within {s} s", "unfiltered": "none, sampled at {rate} Hz",
 }
 
 ITALIAN = {
@@ -81,7 +83,7 @@ ITALIAN = {
     "no_vehicle": "non assegnata a un veicolo", "not_recorded": "non registrato",
     "page": "Pagina {page} di {pages}", "foot": "JSON canonico dell'evento, SHA-256 {hash}",
     "summary": "Che cosa ha registrato la scatola",
-    "s_what": "{kind} il {date} alle {time} UTC (± {sigma} s).",
+    "s_what": "{kind} il {date} alle {time} UTC ({sigma}).",
     "s_force": "La forza è venuta da {where} (ore {clock}), a {pdof}° dalla direzione di marcia in senso orario; con probabilità del 95 % fra {low}° e {high}°.",
     "s_dv": "La velocità del veicolo è cambiata di {dv} km/h; con probabilità del 95 % da {low} a {high} km/h.",
     "s_speed": "Subito prima dell'urto procedeva a {v} km/h (da {low} a {high} km/h).",
@@ -89,7 +91,7 @@ ITALIAN = {
     "s_not_braked": "Non è registrata alcuna frenata durata fino all'urto.",
     "s_rest": "Si è fermato {t} s dopo l'urto, a {d} m dal punto d'urto (entro {r} m al 95 %).",
     "s_second": "Un altro urto è seguito {t} s dopo il primo, con una variazione di velocità di {dv} km/h (da {low} a {high} km/h).",
-    "s_roll": "È rollato fino a {angle}° (da {low}° a {high}°; positivo: lato destro in basso).",
+    "s_roll": "Ha rollato fino a {angle}° (da {low}° a {high}°; positivo: lato destro in basso).",
     "s_clipped": "L'urto ha superato quanto il sensore misura: {n} campioni sono a fondo scala. Ciò che manca è stato stimato e gli intervalli ne tengono conto.",
     "where1": "davanti a destra", "where2": "destra, in avanti", "where3": "destra", "where4": "destra, all'indietro",
     "where5": "dietro a destra", "where6": "dietro", "where7": "dietro a sinistra", "where8": "sinistra, all'indietro",
@@ -125,11 +127,12 @@ ITALIAN = {
     "yes": "sì", "no": "no", "ready": "noto", "settling": "noto, non ancora certo", "insufficient": "non noto", "not_fixed": "la scatola non era fissata",
     "provenance": "Da dove viene", "p_text": "Questo rapporto è tratto dal JSON canonico dell'evento, la cui impronta sta in calce a ogni pagina. Il JSON è calcolato dagli invii elencati qui sotto, le cui impronte sono anelli della catena della scatola. Gli stessi dati e la stessa versione danno gli stessi byte.",
     "p_software": "Programma", "p_algorithm": "Algoritmo", "p_inputs": "SHA-256 dei dati d'ingresso", "p_event": "SHA-256 del JSON dell'evento", "p_mounting": "Stima del montaggio", "p_clock": "Orologio della scatola",
-    "p_clock_gnss": "dal GPS, ± {s} s", "p_clock_arrival": "dall'ora d'arrivo, ± {s} s", "p_link": "Anello", "p_stream": "Flusso", "p_span": "Orologio [s]", "p_rows": "Righe", "p_body": "SHA-256 dell'invio come arrivato", "p_columns": "SHA-256 delle sue colonne",
+    "p_clock_gnss": "dal GPS, {s}", "p_clock_arrival": "dall'ora d'arrivo, {s}", "p_link": "Anello", "p_stream": "Flusso", "p_span": "Orologio [s]", "p_rows": "Righe", "p_body": "SHA-256 dell'invio come arrivato", "p_columns": "SHA-256 delle sue colonne",
     "p_verify": "Per controllare: si scarica l'archivio delle prove di questo evento e vi si esegue <font name=\"Scatola-Mono\">python3 verify.py</font>; basta Python. <font name=\"Scatola-Mono\">scatola verify</font> controlla un'intera scatola.",
-    "conventions": "Convenzioni", "c_text": "Assi secondo SAE J211: x avanti, y a destra, z in basso. Delta-V è la variazione di velocità della scatola negli assi del veicolo all'istante zero. Istante zero, fine dell'evento e nomi degli elementi seguono 49 CFR 563; questo non è l'uscita del registratore d'eventi del veicolo. ISO/TR 12353-3 guida l'uso degli impulsi registrati. Un intervallo contiene il vero con probabilità del 95 %. Ciò che la scatola non può sapere è «non registrato».",
+    "conventions": "Convenzioni", "c_text": "Assi secondo SAE J211: x avanti, y a destra, z in basso. Delta-V è la variazione di velocità della scatola negli assi del veicolo all'istante zero. Istante zero, fine dell'evento e nomi degli elementi seguono 49 CFR 563; questo non è l'uscita del registratore d'eventi del veicolo. ISO/TR 12353-3 guida l'uso degli impulsi registrati. Un intervallo contiene il valore vero con probabilità del 95 %. Ciò che la scatola non può sapere è «non registrato».",
     "burst": "raffica", "continuous": "continuo",
     "link_more": "e altri {n} nell'archivio delle prove",
+    "spread": "± {s} s", "spread_small": "a meno di {s} s", "unfiltered": "nessuno, campionato a {rate} Hz",
 }
 
 # What a remark means; the numbers of its English sentence stand in the table of what the numbers rest on.
@@ -149,7 +152,7 @@ ITALIAN_REMARKS = {
     "mounting_before_change": "È usato il montaggio valido prima che la scatola fosse mossa.",
     "no_gps": "Nessuna posizione utile: né velocità d'urto, né percorso, né controllo di delta-V.",
     "gps_lag_unknown": "Il ritardo del ricevitore non è noto; le posizioni vicine all'urto non sono usate.",
-    "gps_disagrees": "GPS e accelerometro non concordano; l'intervallo è stato allargato.",
+    "gps_disagrees": "GPS e accelerometro non concordano; il GPS non è usato per delta-V.",
     "aliasing_possible": "La frequenza di campionamento può nascondere vibrazioni (aliasing).",
     "short_context": "C'è poco contesto prima o dopo l'evento.",
     "starts_in_event": "La registrazione comincia a evento iniziato: a delta-V manca l'inizio.",
@@ -161,7 +164,7 @@ ITALIAN_REMARKS = {
     "speed_unchanged": "La velocità GPS non mostra un cambiamento durevole.",
     "not_lasting": "La variazione di velocità è stata restituita entro un quarto di secondo.",
     "below_trigger": "Colpo laterale sotto la soglia di 49 CFR 563.",
-    "lies_differently": "Il veicolo è inclinato.",
+    "lies_differently": "La scatola è inclinata.",
     "drove_on": "Dopo il colpo la scatola giace diversamente, e il veicolo ha proseguito la marcia.",
     "shaken_before": "La scatola era maneggiata prima del colpo, a veicolo fermo.",
     "no_gravity": "La registrazione non mostra la gravità; non è detto come stava il veicolo.",
@@ -169,6 +172,19 @@ ITALIAN_REMARKS = {
     "utc_from_arrival": "Nessuna posizione ha dato l'UTC: è l'ora d'arrivo, entro mezzo minuto.",
     "rows_out_of_order": "Alcune righe sono arrivate fuori ordine e sono state ordinate.",
     "rows_repeated": "Alcune righe ripetevano un istante e sono state tolte.",
+    "inertial_rows_repeated": "Alcune righe inerziali ripetevano un istante e sono state tolte.",
+    "gnss_rows_repeated": "Alcune righe GNSS ripetevano un istante e sono state tolte.",
+}
+
+# Levels and populations of the curves of injury; the names of scales stay.
+ITALIAN_RISKS = {
+    "fatal": "mortale",
+    "front-seat occupants of cars in US tow-away crashes (Wang 2022, DOT HS 813 219)":
+        "occupanti dei sedili anteriori di autovetture, urti negli USA con rimozione del veicolo (Wang 2022, DOT HS 813 219)",
+    "as shipped with TUM's ethical trajectory planning, population not stated":
+        "come fornita con la pianificazione etica di traiettorie della TUM, popolazione non dichiarata",
+    "German in-depth accident study, as shipped with TUM's ethical trajectory planning":
+        "studio tedesco approfondito degli incidenti, come fornita con la pianificazione etica di traiettorie della TUM",
 }
 # fmt: on
 
@@ -224,6 +240,26 @@ class Words:
             text = text.lstrip("+-")
         text = text.replace("-", "\N{MINUS SIGN}")
         return text if self.language == "en" else text.replace(".", ",")
+
+    def short(self, value: float) -> str:
+        """As many decimals as it has, in the language's way."""
+        text = f"{value:g}"
+        return text if self.language == "en" else text.replace(".", ",")
+
+    def spread(self, sigma_s: float) -> str:
+        """How well a time is known, never as "± 0.00 s"."""
+        if sigma_s < 0.005:
+            return self("spread_small", s=self.number(0.01, 2))
+        return self("spread", s=self.number(sigma_s, 2))
+
+    def peak_filter(self, name: str) -> str:
+        """What a peak was read after; the names of filters are the same in every language."""
+        found = re.fullmatch(r"none, sampled at (\d+) Hz", name)
+        return name if found is None else self("unfiltered", rate=found[1])
+
+    def risk(self, text: str) -> str:
+        """A level of injury, or whom a curve is of; as it stands where the language has nothing."""
+        return text if self.language == "en" else ITALIAN_RISKS.get(text, text)
 
     def interval(self, bounds: list[float] | None, digits: int = 1) -> str:
         """Both ends, or nothing."""

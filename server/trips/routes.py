@@ -6,10 +6,9 @@ import datetime as dt
 from typing import Annotated
 
 from fastapi import APIRouter, Query
-from pydantic import AwareDatetime
 
 from server.accounts.access import LocationReader, Reader
-from server.edge import DatabaseOf
+from server.edge import DatabaseOf, Moment
 from server.errors import InvalidError
 from server.trips import queries
 from server.trips.schemas import TrackOut, TripOut, TripPage, track_out, trip_out
@@ -23,8 +22,8 @@ def list_trips(
     database: DatabaseOf,
     device: Annotated[str | None, Query(max_length=32)] = None,
     vehicle: Annotated[str | None, Query(max_length=32)] = None,
-    since: Annotated[AwareDatetime | None, Query(alias="from")] = None,
-    until: Annotated[AwareDatetime | None, Query(alias="to")] = None,
+    since: Annotated[Moment | None, Query(alias="from")] = None,
+    until: Annotated[Moment | None, Query(alias="to")] = None,
     before: Annotated[str | None, Query(max_length=100)] = None,
     limit: Annotated[int, Query(ge=1, le=500)] = 100,
 ) -> TripPage:
@@ -66,5 +65,5 @@ def _place(before: str) -> tuple[dt.datetime, str]:
     moment, _, trip_id = before.partition("~")
     try:
         return dt.datetime.fromisoformat(moment).astimezone(dt.UTC), trip_id
-    except ValueError:
+    except (ValueError, OverflowError):  # the last: a day before the first or after the last of the calendar
         raise InvalidError("`before` is not what a page gave as `next`", code="before") from None

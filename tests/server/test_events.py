@@ -13,6 +13,7 @@ import zipfile
 import httpx
 import pyarrow.parquet as pq
 import pytest
+import zstandard
 from crash_world import Reconstructor, braking, crash
 from fleet_world import Leg, World, cut, drive_of
 from mcap.reader import make_reader
@@ -20,8 +21,9 @@ from mcap.reader import make_reader
 from server.cli.main import main
 from server.devices.schemas import DeviceIn
 from server.devices.service import register
+from server.events.queries import canonical_bytes
 from server.jobs.reprocess import reprocess, severe_events
-from server.models import Batch, Event, Organisation
+from server.models import Batch, Event, EventRevision, Organisation
 from server.store import collect
 
 T0 = 100.0
@@ -80,7 +82,11 @@ def test_listing_filters_and_pages(admin, world, event):
     page = admin.get("/api/v1/events", params={"limit": 1}).json()
     assert [e["kind"] for e in page["items"]] == ["crash"]
     assert kinds(before=page["next"]) == ["harsh_braking"]
-    assert admin.get("/api/v1/events", params={"before": "x"}).status_code == 422
+    for before in ("x", "0001-01-01T00:00:00+10:00~x", "9999-12-31T23:59:59-10:00~x"):
+        assert admin.get("/api/v1/events", params={"before": before}).status_code == 422
+    for name in ("from", "to"):
+        for moment in ("0001-01-01T00:00:00+10:00", "9999-12-31T23:59:59-10:00"):
+            assert admin.get("/api/v1/events", params={name: moment}).status_code == 422
     assert admin.get("/api/v1/events", params={"kind": "earthquake"}).status_code == 422
     assert set(KEYS) <= set(event)
     assert event["delta_v_kmh"]["resultant"] == pytest.approx(32.0)
@@ -225,12 +231,13 @@ def test_scatola_verify_recomputes_the_chain(world, settings, monkeypatch, capsy
     monkeypatch.setenv("SCATOLA_DATA_DIR", str(settings.data_dir))
     assert main(["verify", "--json"]) == 0
     (told,) = json.loads(capsys.readouterr().out)["devices"]
-    assert (told["links"], told["erased"], told["faults"]) == (4, 0, [])
+    revisions = world.rows(EventRevision, EventRevision.number)
+    assert (told["links"], told["revisions"], told["faults"]) == (4, len(revisions), [])
     blob = settings.data_dir / "blobs" / world.rows(Batch, Batch.chain_index)[1].blob_key
     content = blob.read_bytes()
     blob.unlink()
-    assert main(["verify", "--device", world.device_id]) == 0
-    assert "1 erased" in capsys.readouterr().out
+    assert main(["verify", "--device", world.device_id]) == 1
+    assert "link 1: raw data are missing" in capsys.readouterr().out
     blob.write_bytes((settings.data_dir / "blobs" / world.rows(Batch, Batch.chain_index)[2].blob_key).read_bytes())
     assert main(["verify"]) == 1
     assert "not what was uploaded" in capsys.readouterr().out
@@ -239,6 +246,30 @@ def test_scatola_verify_recomputes_the_chain(world, settings, monkeypatch, capsy
         session.get(Batch, world.rows(Batch, Batch.chain_index)[2].id).boot = "other"
     assert main(["verify"]) == 1
     assert "link 2 does not follow" in capsys.readouterr().out
+
+
+def test_scatola_verify_recomputes_every_revision_of_an_event(world, settings, monkeypatch, capsys):
+    monkeypatch.setenv("SCATOLA_DATA_DIR", str(settings.data_dir))
+    row = world.rows(EventRevision, EventRevision.number)[0]
+    body = world.rows(Batch, Batch.chain_index)[1]
+    changed = canonical_bytes(row).replace(b'"algorithm":"', b'"algorithm":"x')
+    for document, fault in (
+        (zstandard.compress(changed), "is not what was computed"),
+        (row.document[:-9], "cannot be read"),
+        (b"", "cannot be read"),
+    ):
+        with world.database.transaction() as session:
+            session.get(EventRevision, row.id).document = document
+        assert main(["verify"]) == 1
+        assert f"revision {row.number} of event {row.event_id} {fault}" in capsys.readouterr().out
+    with world.database.transaction() as session:
+        stored = session.get(EventRevision, row.id)
+        stored.document, stored.input_sha256 = row.document, "0" * 64
+        session.get(Batch, body.id).body_key = "nowhere"
+    assert main(["verify"]) == 1
+    told = capsys.readouterr().out
+    assert "its inputs are not those that it names" in told
+    assert "link 1: the body is missing" in told
 
 
 def test_the_collector_leaves_what_events_rest_on(world, clock):

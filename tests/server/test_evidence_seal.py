@@ -134,9 +134,10 @@ def test_a_chain_is_sealed_once_for_what_events_rest_on(world, settings, key_fil
 
 
 @needs_openssl
-def test_a_seal_is_timestamped_and_the_archive_shows_it(world, settings, key_file, authority, admin):
+def test_a_seal_is_timestamped_and_the_archive_shows_it(world, settings, key_file, authority, admin, app):
     url, root = authority
     settings = settings.model_copy(update={"signing_key_file": key_file, "timestamp_url": url})
+    app.state.settings = settings
     assert seal_waiting(world.database, settings, now=world.clock()) == 1
     row = world.one(ChainSeal)
     message = seal_message(world.device_id, row.chain_length, row.chain_head)
@@ -151,13 +152,22 @@ def test_a_seal_is_timestamped_and_the_archive_shows_it(world, settings, key_fil
         report = check(bundle.read, bundle.namelist())
         names = {line["check"] for line in report.lines}
         assert report.passed
-        assert {"the signature holds", "the timestamp is of this seal"} <= names
+        assert {
+            "the signature holds",
+            "the timestamp is of this seal",
+            "the signature of the manifest holds",
+            "the timestamp is of this manifest",
+        } <= names
         chain = json.loads(bundle.read("chain.json"))
         (root.parent / "seal.txt").write_bytes(bundle.read("seal.txt"))
         (root.parent / "seal.tsr").write_bytes(bundle.read("seal.tsr"))
+        (root.parent / "signature.txt").write_bytes(bundle.read("signature.txt"))
+        (root.parent / "signature.tsr").write_bytes(bundle.read("signature.tsr"))
     assert chain["seal"]["public_key"] == row.public_key
     # As README.txt of the archive says.
-    openssl("ts", "-verify", "-data", root.parent / "seal.txt", "-in", root.parent / "seal.tsr", "-CAfile", root)
+    for name in ("seal", "signature"):
+        said, token = root.parent / f"{name}.txt", root.parent / f"{name}.tsr"
+        openssl("ts", "-verify", "-data", said, "-in", token, "-CAfile", root)
 
 
 def test_an_authority_that_does_not_answer_stops_nothing(world, settings):

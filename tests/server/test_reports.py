@@ -13,10 +13,13 @@ import pytest
 import rich
 from crash_world import braking, crash
 
+from nav_core.crash.injury import CURVES
 from server.events.canonical import settle, sha256
 from server.events.document import document_of
 from server.events.exports import edr_csv, edr_json
+from server.reports import parts
 from server.reports.figures import number_rows, sentences
+from server.reports.paper import load_fonts
 from server.reports.pdf import Heading, report_pdf
 from server.reports.words import ENGLISH, ITALIAN, ITALIAN_REMARKS, Words
 
@@ -76,6 +79,30 @@ def test_numbers_are_written_in_the_languages_way():
     assert Words("en").number(-12.34, 1) == "\N{MINUS SIGN}12.3"
     assert Words("it").interval([-1.5, 2.25], 2) == "[\N{MINUS SIGN}1,50; 2,25]"
     assert Words("it").date(2026, 3, 1) == "1 marzo 2026"
+
+
+def test_no_number_or_term_of_the_italian_report_is_english():
+    words = Words("it")
+    assert (words.short(0.5), words.short(20.0)) == ("0,5", "20")
+    assert (words.spread(0.31), words.spread(0.0)) == ("± 0,31 s", "a meno di 0,01 s")
+    assert (Words("en").spread(0.31), Words("en").spread(0.0)) == ("± 0.31 s", "within 0.01 s")
+    assert words.peak_filter("none, sampled at 104 Hz") == "nessuno, campionato a 104 Hz"
+    assert words.peak_filter("CFC60") == "CFC60"
+    for curve in CURVES:
+        assert words.risk(curve.population) != curve.population
+        assert curve.level.startswith("MAIS") or words.risk(curve.level) != curve.level
+    load_fonts()
+    document = document_from(crash(100.0))
+    cells = parts.subject_table(document, heading(document), words, dt.datetime(2026, 3, 1, tzinfo=dt.UTC), 500.0)
+    told = " ".join(cell.getPlainText() for row in cells._cellvalues for cell in row)
+    assert ": 100,000 s" in told
+
+
+def test_remarks_say_the_same_in_both_languages():
+    assert "non è usato" in ITALIAN_REMARKS["gps_disagrees"]
+    assert ITALIAN_REMARKS["lies_differently"].startswith("La scatola")
+    for name in ("inertial", "gnss"):
+        assert f"{name}_rows_repeated" in ITALIAN_REMARKS
 
 
 @pytest.mark.parametrize("language", ["en", "it"])

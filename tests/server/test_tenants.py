@@ -516,6 +516,9 @@ def test_looks_at_events_are_written_down(admin, tenants):
     admin.get(f"{path}/edr.json")
     admin.get("/api/v1/events")
     admin.get(f"/events/{tenants.mine['event']}")
+    # Their answers hold the place too.
+    admin.put(f"{path}/review", json={"verdict": "confirmed"}).raise_for_status()
+    admin.put(f"{path}/hold", json={"held": True, "reason": "claim 17"}).raise_for_status()
     with tenants.database.reading() as session:
         query = sa.select(AuditEntry.action, AuditEntry.subject).where(
             AuditEntry.action.in_(("location.read", "raw.read"))
@@ -534,6 +537,8 @@ def test_looks_at_events_are_written_down(admin, tenants):
         ("location.read", f"{api}/diff {subject}"),
         ("location.read", "/api/v1/events"),
         ("location.read", f"/events/{{event_id}} {subject}"),
+        ("location.read", f"{api}/review {subject}"),
+        ("location.read", f"{api}/hold {subject}"),
     ]
 
 

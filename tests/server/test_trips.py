@@ -164,7 +164,11 @@ def test_trips_are_chosen_by_box_vehicle_and_time(world, admin):
     assert ids(**{"from": second.began_at.isoformat()}) == [second.id]
     assert admin.get("/api/v1/trips", params={"from": "yesterday"}).status_code == 422
     assert admin.get("/api/v1/trips", params={"from": "2026-01-01T00:00:00"}).status_code == 422
-    assert admin.get("/api/v1/trips", params={"before": "x"}).json()["code"] == "before"
+    for before in ("x", "0001-01-01T00:00:00+10:00~x", "9999-12-31T23:59:59-10:00~x"):
+        assert admin.get("/api/v1/trips", params={"before": before}).json()["code"] == "before"
+    for name in ("from", "to"):
+        for moment in ("0001-01-01T00:00:00+10:00", "9999-12-31T23:59:59-10:00"):
+            assert admin.get("/api/v1/trips", params={name: moment}).status_code == 422
 
 
 def test_a_track_is_geojson(world, admin):
