@@ -20,6 +20,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from hypothesis import settings as hypothesis_settings
+
+# A property holds or not; how long an example takes on a busy machine is another matter.
+hypothesis_settings.register_profile("scatola", deadline=None)
+hypothesis_settings.load_profile("scatola")
 
 # The service is imported by the fixtures that need it: the tests of nav_core need none of it.
 if TYPE_CHECKING:

@@ -430,7 +430,8 @@ def _tilted(scene: Scene, found: list[Finding]) -> list[Finding]:
     span = float(stream.t[-1] - stream.t[0])
     if span < 4.0:
         return []
-    edges = np.searchsorted(stream.t, np.arange(stream.t[0], stream.t[-1], 0.5))
+    cell = np.floor((stream.t - stream.t[0]) / 0.5)  # those that hold samples: a clock may jump by years
+    edges = np.concatenate([[0], np.flatnonzero(np.diff(cell)) + 1, [stream.t.size]])
     full = np.flatnonzero(np.diff(edges) > 2)
     means = np.array([stream.f[edges[k] : edges[k + 1]].mean(axis=0) for k in full])
     if means.size == 0:

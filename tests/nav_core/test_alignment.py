@@ -108,7 +108,7 @@ def test_exact_sensors_give_the_attitude(seed, lat):
     R_ta = turned(seed)
     found = compass(R_ta, lat=lat)
     assert found.status == "observable"
-    assert found.best is not None
+    assert found.attitude is not None
     assert angle_between(found.attitude.R_ta, R_ta) < 1e-6
 
 
@@ -125,7 +125,7 @@ def test_the_direct_cosines_of_the_lecture(seed):
     C[1, 1] = C[0, 0] * C[2, 2] - C[0, 2] * C[2, 0]
     C[2, 1] = C[0, 2] * C[1, 0] - C[0, 0] * C[1, 2]
     found = compass(R_ta)
-    assert found.best is not None
+    assert found.attitude is not None
     assert found.attitude.R_ta == pytest.approx(C.T, abs=1e-8)
 
 
@@ -153,7 +153,7 @@ def test_the_stated_heading_error_is_the_one_of_many_runs():
             limit=1.0,
             **grade,
         )
-        if found.best is not None:
+        if found.attitude is not None:
             error = error_between(found.attitude.R_ta, R_ta)
             squares.append(kalman.normalised(error, found.attitude.covariance))
             yaws.append(error[2])

@@ -14,7 +14,7 @@ from nav_core.records import Gnss
 from nav_core.signal import decimate
 from server.jobs.clock import from_arrival, from_fixes
 from server.jobs.digest import decode, digest_drive, encode, join_gnss
-from server.jobs.stretch import PAUSE_S, Piece, assemble, newest
+from server.jobs.stretch import PAUSE_S, Piece, assemble, in_windows
 from server.models import Boot
 
 
@@ -158,9 +158,10 @@ def test_a_part_of_a_stretch():
     assert stretch.between(2e9, 3e9).ticks.index.size == 0
 
 
-def test_the_newest_pieces_fill_the_window_in_order():
+def test_pieces_fill_window_after_window_in_order():
     boots = {"a": clock("a", 0), "b": clock("b", 1, offset=2e9)}
     long = drive_of(Leg(30, 5.0))
     pieces = [piece(long, boot, k) for boot in "ab" for k in range(3)]
-    kept = newest(pieces[::-1], boots, window_s=100.0)
-    assert [(p.boot, p.sequence) for p in kept] == [("a", 2), ("b", 0), ("b", 1), ("b", 2)]
+    windows = list(in_windows(pieces[::-1], boots, window_s=100.0))
+    named = [([(p.boot, p.sequence) for p in kept], more) for kept, more in windows]
+    assert named == [([("a", 0), ("a", 1), ("a", 2)], True), ([("b", 0), ("b", 1), ("b", 2)], False)]
