@@ -157,10 +157,10 @@ def test_the_replay_plays_and_can_be_scrubbed(event, open_page, screenshot):
         page.wait_for_timeout(500)
         if time.input_value() == "6.8":
             break
-    box = page.locator("scene-3d").bounding_box()
+    scene = page.locator("scene-3d")
     red = 0
     for _ in range(120):  # the scene fades in, slowly where software renders it
-        red = coloured(page.screenshot(clip=box))["red"]
+        red = coloured(scene.screenshot())["red"]
         if red > 300:
             break
         page.wait_for_timeout(500)
