@@ -110,11 +110,14 @@ def run_drive(row: int, index: int) -> dict[str, Any]:
     return out
 
 
+def stored(path: Path) -> list[dict[str, Any]]:
+    """What earlier runs left."""
+    return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()] if path.exists() else []
+
+
 def run_all(path: Path, *, workers: int = 2) -> list[dict[str, Any]]:
     """Every drive that the file does not hold yet; progress on standard error."""
-    done: list[dict[str, Any]] = []
-    if path.exists():
-        done = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+    done = stored(path)
     known = {(entry["row"], entry["index"]) for entry in done}
     todo = [
         (row, index) for row, job in enumerate(ROWS) for index in range(job.count) if (job.name, index) not in known

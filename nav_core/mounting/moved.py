@@ -81,8 +81,13 @@ def tilt_suspicion(record: Record) -> float | None:
         return None
     weight = count * (t.size - count) * np.einsum("ij,ij->i", before - after, before - after)
     best = int(np.argmax(np.where(fair, weight, -1.0)))
-    cosine = before[best] @ after[best] / np.linalg.norm(before[best]) / np.linalg.norm(after[best])
-    return float(t[best + 1]) if np.arccos(np.clip(cosine, -1.0, 1.0)) > _TILT else None
+    return float(t[best + 1]) if _angle(before[best], after[best]) > _TILT else None
+
+
+def _angle(a: Floats, b: Floats) -> float:
+    """Between two vectors, rad."""
+    cosine = a @ b / np.linalg.norm(a) / np.linalg.norm(b)
+    return float(np.arccos(np.clip(cosine, -1.0, 1.0)))
 
 
 def evidence_suspicion(fit: Fit) -> float | None:
@@ -213,9 +218,17 @@ def _differ(sides: tuple[Record, Record], before: Solution, after: Solution) -> 
         doubt += covariance + FLOOR**2 * np.eye(3)
         offered = excitation(side)
         heading &= offered.moving > LEAST_MOVING and fits_a_car(solution.start, offered)
+    if np.linalg.norm(e[:2]) > 2.0 * _tilt_seen(sides) + LEAST_ANGLE:
+        return False  # half a minute of bends can end in a mounting that stands on its head: gravity would know
     axes = slice(0, 3) if heading else slice(0, 2)
     e, doubt = e[axes], doubt[axes, axes]
     return bool(np.linalg.norm(e) > LEAST_ANGLE and e @ np.linalg.solve(doubt, e) > SURE)
+
+
+def _tilt_seen(sides: tuple[Record, Record]) -> float:
+    """Angle between the mean directions of specific force of two sides, rad."""
+    before, after = (side.f.mean(axis=0) for side in sides)
+    return _angle(before, after)
 
 
 def _moment(record: Record, when: float, before: Fit, after: Fit, noise: Noise) -> float:

@@ -155,3 +155,13 @@ def test_no_false_alarm_in_a_hundred_drives():
             accel_bias_drift=30.0 * MILLI_G,
         )
         assert estimate_mounting(simulate(scenario, seed=20_000 + seed)[0]).changes == (), seed
+
+
+@pytest.mark.parametrize("seed", [502_088, 502_136])
+def test_the_last_bends_of_a_roundabout_are_no_move(seed: int):
+    """Half a minute of circling can be fitted standing on its head; the mean force says that nothing tilted."""
+    drive, truth = simulate(Scenario(route="roundabout", duration=120.0, gnss_rate=4.0), seed=seed)
+    found = estimate_mounting(drive)
+    assert found.status == "ready"
+    assert found.changes == ()
+    assert np.degrees(angle_between(found.R_va, truth.R_va)) < 2.0
