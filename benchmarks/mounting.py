@@ -89,8 +89,8 @@ def report(done: list[dict[str, Any]]) -> str:
     parts = [
         "# Mounting benchmark",
         "",
-        f"Written by `make bench-mounting`: {len(done)} simulated drives, fixed seeds; {platform.machine()}, ",
-        f"{os.cpu_count()} cores, Python {platform.python_version()}.",
+        f"Written by `make bench-mounting`: {len(done)} simulated drives, fixed seeds;",
+        f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}.",
         "",
         "Every drive counts; errors are over drives with a result. Errors are rotations about the vehicle's axes that",
         "separate estimate and truth (x roll, y pitch, z yaw); `median` and `worst` are of the whole angle. The roads'",
