@@ -239,11 +239,7 @@ class Mountings:
         self._results.estimates += 1
         estimate = told.estimate
         result = mount_json(estimate)
-        if told.past_share < 1.0:
-            row.evidence = chapter.written(
-                chapter.faded(chapter.read(row.evidence, ALGORITHM), told.past_share), ALGORITHM
-            )
-        input_sha256 = self._close_chapter(row, told.own, stretch, closing=closing)
+        input_sha256 = self._close_chapter(row, told, stretch, closing=closing)
         self._revise(row, result, estimate.progress, stretch, input_sha256)
         if row.beginning == "manual":
             return  # said by somebody who looked; the estimate stands beside it as a revision
@@ -256,17 +252,20 @@ class Mountings:
             "installation", row.vehicle_id, installation_id=row.id, status=row.status, percent=result["percent"]
         )
 
-    def _close_chapter(
-        self, row: Installation, own: TripEvidence | None, stretch: Stretch, *, closing: bool = False
-    ) -> str:
+    def _close_chapter(self, row: Installation, told: Told, stretch: Stretch, *, closing: bool) -> str:
         """Keep a stretch that is long enough as evidence; gives the hash of all data behind the estimate.
 
-        One that has nothing to say stays open for longer, in case what follows makes it speak.
+        One that has nothing to say stays open for longer, in case what follows makes it speak.  What it
+        takes from the chapters before it takes once, when it closes: until then it is estimated many times.
         """
         known = chapter.read(row.evidence, ALGORITHM)
         input_sha256 = chapter.input_of(known, stretch.input_sha256)
-        length_s = stretch.length_s
-        if closing or length_s >= (chapter.SILENT_S if own is None else chapter.CHAPTER_S):
+        length_s, own = stretch.length_s, told.own
+        closes = closing or length_s >= (chapter.SILENT_S if own is None else chapter.CHAPTER_S)
+        if told.past_share == 0.0 or (closes and told.past_share < 1.0):
+            known = chapter.faded(known, told.past_share)
+            row.evidence = chapter.written(known, ALGORITHM)
+        if closes:
             begin = known[-1].until_s if known else stretch.unix_s(float(stretch.ticks.t[0]))
             known.append(chapter.Chapter(begin, stretch.end_unix_s, length_s, own, stretch.input_sha256))
             row.evidence = chapter.written(known, ALGORITHM)

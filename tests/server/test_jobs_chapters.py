@@ -175,3 +175,23 @@ def test_what_follows_a_move_after_long_pauses_is_all_there():
     before = stretch.between(-np.inf, 28_800.0 * 3 - 100.0)
     assert before.length_s == pytest.approx(900.0, abs=2.0)
     assert before.end_unix_s == pytest.approx(28_800.0 * 2 + 300.0, abs=1.0)
+
+
+def test_a_contradiction_fades_the_past_once_and_not_with_every_look(world, clock):
+    _drive(world, clock, 1, "one")
+    world.estimator = lambda ticks, gnss, past, noise: told_of(ticks, gnss, past, noise)._replace(past_share=0.3)
+
+    def weight() -> float:
+        row = world.one(Installation)
+        with world.database.reading() as session:
+            first = chapters.read(session.get_one(Installation, row.id).evidence, row.algorithm)[0]
+        assert first.evidence is not None
+        return float(np.trace(first.evidence.gram))
+
+    before = weight()
+    drive, _ = simulate(replace(LONG, duration=600.0, start_utc=LONG.start_utc + 8000.0), seed=2)
+    for k, batch in enumerate(cut(drive, seconds=150.0)):
+        world.put(batch, k, boot="two")
+        clock.advance(seconds=150.0)
+        world.bring_up()
+    assert weight() == before  # looked at four times, still open
