@@ -59,7 +59,7 @@ def claim(session: Session, code: str, *, now: dt.datetime) -> DeviceToken:
     row.claimed_at = now
     token = new_token(TOKEN_PREFIX)
     device.token_hash, device.next_token_hash = hash_of(token), None
-    _announce(session, device, now)
+    announce_device(session, device, now)
     return DeviceToken(id=device.id, token=token)
 
 
@@ -67,7 +67,8 @@ def _seen_since(device: Device, moment: dt.datetime) -> bool:
     return device.last_seen_at is not None and device.last_seen_at >= moment
 
 
-def _announce(session: Session, device: Device, now: dt.datetime) -> None:
+def announce_device(session: Session, device: Device, now: dt.datetime) -> None:
+    """Tell whoever looks at the device that it changed."""
     announce(
         session,
         "device",
@@ -97,7 +98,7 @@ def set_settings(
         device.configuration_version += 1
     device.signed_only = wanted.signed_only
     device.bytes_per_day = wanted.bytes_per_day
-    _announce(session, device, now)
+    announce_device(session, device, now)
 
 
 def ask_for_window(

@@ -8,25 +8,13 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from server.accounts.secrets import hash_of, new_token
-from server.devices.provisioning import TOKEN_PREFIX
+from server.devices.provisioning import TOKEN_PREFIX, announce_device
 from server.devices.queries import device_of
 from server.devices.schemas import DeviceIn, DeviceToken, ReferenceMountings
 from server.errors import ConflictError, InvalidError
 from server.installations.service import end_for_swap
-from server.live.changes import announce
 from server.models import Device, Organisation, Vehicle, new_id
 from server.vehicles.service import assign
-
-
-def _announce(session: Session, device: Device, now: dt.datetime) -> None:
-    announce(
-        session,
-        "device",
-        at=now,
-        organisation_id=device.organisation_id,
-        device_id=device.id,
-        vehicle_id=device.vehicle_id,
-    )
 
 
 def _check_vehicle(session: Session, organisation_id: str, vehicle_id: str | None) -> None:
@@ -68,7 +56,7 @@ def register(
     session.add(device)
     session.flush()
     assign(session, device, wanted.vehicle_id, at=now)
-    _announce(session, device, now)
+    announce_device(session, device, now)
     return DeviceToken(id=device.id, token=token), True
 
 
@@ -79,7 +67,7 @@ def rotate_token(session: Session, organisation_id: str, device_id: str, *, now:
         raise ConflictError("The device is revoked", code="device_revoked")
     token = new_token(TOKEN_PREFIX)
     device.token_hash, device.next_token_hash = hash_of(token), None
-    _announce(session, device, now)
+    announce_device(session, device, now)
     return DeviceToken(id=device.id, token=token)
 
 
@@ -88,7 +76,7 @@ def revoke(session: Session, organisation_id: str, device_id: str, *, now: dt.da
     device = device_of(session, organisation_id, device_id, lock=True)
     if device.revoked_at is None:
         device.revoked_at = now
-        _announce(session, device, now)
+        announce_device(session, device, now)
 
 
 def set_references(
@@ -100,7 +88,7 @@ def set_references(
     device.reference_mountings = [
         {"from": mounting.since.astimezone(dt.UTC).isoformat(), "R_va": mounting.R_va} for mounting in ordered
     ]
-    _announce(session, device, now)
+    announce_device(session, device, now)
 
 
 def put_into_vehicle(
@@ -120,4 +108,4 @@ def put_into_vehicle(
         raise InvalidError("`at` is in the future")
     if assign(session, device, vehicle_id, at=moment):
         end_for_swap(session, device, moment)
-        _announce(session, device, now)
+        announce_device(session, device, now)
