@@ -190,7 +190,7 @@ def _fold(
 ) -> None:
     """One component that depends on the attitude alone, `h` of shape (3,); NaN is skipped.
 
-    `kalman.kernels.update_scalar` for six states, half of whose `h` is zero, without arrays of its own.  Joseph's form
+    `kalman.kernels.fold` for six states, half of whose `h` is zero, without arrays of its own.  Joseph's form
     with the optimal gain is ``P - g g' / S``; only its lower triangle is read and written.
     """
     if np.isnan(residual):

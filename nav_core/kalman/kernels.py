@@ -53,40 +53,77 @@ def propagate_state(x: Floats, Phi: Floats) -> None:
     for i in range(n):
         total = 0.0
         for j in range(n):
-            total += Phi[i, j] * before[j]
+            # Adding up one by one is slow, and most are zeros.
+            if Phi[i, j] != 0.0:
+                total += Phi[i, j] * before[j]
         x[i] = total
 
 
 @kernel
-def projected(P: Floats, h: Floats) -> Floats:
-    """``P h`` of a symmetric `P`; zeros of `h`, of which a measurement row mostly consists, cost nothing."""
+def project(P: Floats, h: Floats, Ph: Floats) -> None:
+    """Set `Ph` to ``P h`` of a symmetric `P`; zeros of `h`, of which a measurement row mostly consists, cost nothing."""
     n = P.shape[0]
-    Ph = np.zeros(n)
+    Ph[:] = 0.0
     for j in range(n):
         factor = h[j]
         if factor != 0.0:
             for i in range(n):
                 Ph[i] += P[j, i] * factor
+
+
+@kernel
+def projected(P: Floats, h: Floats) -> Floats:
+    """``P h`` of a symmetric `P`."""
+    Ph = np.empty(P.shape[0])
+    project(P, h, Ph)
     return Ph
+
+
+@kernel
+def joseph(P: Floats, Ph: Floats, h: Floats, r: float, gain: Floats, rest: Floats) -> None:
+    """`joseph_scalar` of a known ``P h``, without making `P` exactly symmetric; `rest` is room for n numbers."""
+    n = P.shape[0]
+    for i in range(n):
+        rest[i] = gain[i] * r
+    for j in range(n):
+        if h[j] != 0.0:
+            # ``(I - k h') P h`` entry by entry: as ``P h - k (h' P h)``, the difference of large numbers would lose its
+            # digits.
+            for i in range(n):
+                rest[i] -= (P[j, i] - gain[i] * Ph[j]) * h[j]
+    for i in range(n):
+        # What stays the same in a row has a name: the compiler cannot know that writing `P` does not change it.
+        in_row, left = gain[i], rest[i]
+        for j in range(n):
+            P[i, j] = (P[i, j] - in_row * Ph[j]) + left * gain[j]
 
 
 @kernel
 def joseph_scalar(P: Floats, h: Floats, r: float, gain: Floats) -> None:
     """Replace `P` by ``(I - k h') P (I - k h')' + k r k'``, valid for any gain (000 eq. 3.11.24, one measurement)."""
-    n = P.shape[0]
-    row = projected(P, h)
-    seen = np.flatnonzero(h)
-    for i in range(n):
-        for j in range(n):
-            P[i, j] -= gain[i] * row[j]
-        # From the rows just changed: written out in full, the difference of large numbers would lose its digits.
-        column = 0.0
-        for j in seen:
-            column += P[i, j] * h[j]
-        rest = gain[i] * r - column
-        for j in range(n):
-            P[i, j] += rest * gain[j]
+    joseph(P, projected(P, h), h, r, gain, np.empty(P.shape[0]))
     symmetrise(P)
+
+
+@kernel
+def fold(dx: Floats, P: Floats, residual: float, h: Floats, r: float, gate: float, room: Floats) -> float:
+    """`update_scalar` without making `P` exactly symmetric; `room` is for three times n numbers."""
+    n = dx.shape[0]
+    Ph, gain = room[0], room[1]
+    project(P, h, Ph)
+    variance, innovation = r, residual
+    for i in range(n):
+        if h[i] != 0.0:
+            variance += h[i] * Ph[i]
+            innovation -= h[i] * dx[i]
+    chi2 = innovation * innovation / variance
+    if chi2 > gate:
+        return -chi2
+    for i in range(n):
+        gain[i] = Ph[i] / variance
+        dx[i] += gain[i] * innovation
+    joseph(P, Ph, h, r, gain, room[2])
+    return chi2
 
 
 @kernel
@@ -113,19 +150,8 @@ def update_scalar(dx: Floats, P: Floats, residual: float, h: Floats, r: float, g
     float
         Squared normalised innovation; with its sign turned when the measurement was left out.
     """
-    n = dx.shape[0]
-    gain = projected(P, h)
-    variance, innovation = r, residual
-    for i in range(n):
-        variance += h[i] * gain[i]
-        innovation -= h[i] * dx[i]
-    chi2 = innovation * innovation / variance
-    if chi2 > gate:
-        return -chi2
-    for i in range(n):
-        gain[i] /= variance
-        dx[i] += gain[i] * innovation
-    joseph_scalar(P, h, r, gain)
+    chi2 = fold(dx, P, residual, h, r, gate, np.empty((3, dx.shape[0])))
+    symmetrise(P)
     return chi2
 
 
@@ -150,13 +176,15 @@ def update_sequential(dx: Floats, P: Floats, residual: Floats, H: Floats, r: Flo
         How many were used.
     """
     used = 0
+    room = np.empty((3, dx.shape[0]))
     for i in range(residual.shape[0]):
         if np.isnan(residual[i]):
             chi2[i] = np.nan
             continue
-        chi2[i] = update_scalar(dx, P, residual[i], H[i], r[i], gate)
+        chi2[i] = fold(dx, P, residual[i], H[i], r[i], gate, room)
         if chi2[i] >= 0.0:
             used += 1
+    symmetrise(P)
     return used
 
 
