@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import platform
 import sys
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -68,6 +69,8 @@ def line(name: str, entries: list[dict[str, Any]], method: str) -> str:
 
 def never(done: list[dict[str, Any]]) -> list[str]:
     """What `ready` must never be, over all drives."""
+    without = {row.name for row in ROWS if row.spoilt is not None}
+    done = [entry for entry in done if entry["row"] not in without]
     lines: list[str] = []
     for method in METHODS:
         ready = [
@@ -78,6 +81,18 @@ def never(done: list[dict[str, Any]]) -> list[str]:
         worst = max((float(np.linalg.norm(result["error_deg"])) for result in ready), default=0.0)
         wrong = sum(float(np.linalg.norm(result["error_deg"])) > 10.0 for result in ready)
         lines.append(f"| {method} | {len(ready)} | {worst:.1f} | {wrong} |")
+    return lines
+
+
+def spoilt(by_row: dict[str, list[dict[str, Any]]]) -> list[str]:
+    """Drives without a truth: how many, how many said `ready`, what was said instead."""
+    lines: list[str] = []
+    for name in (row.name for row in ROWS if row.spoilt is not None and by_row[row.name]):
+        entries = by_row[name]
+        status = _column(entries, OURS[0], "status")
+        said = Counter(reason for reasons in _column(entries, OURS[0], "reasons") for reason in reasons)
+        words = ", ".join(f"{code} {count}" for code, count in said.most_common(4))
+        lines.append(f"| {name} | {len(entries)} | {status.count('ready')} | {words} |")
     return lines
 
 
@@ -121,11 +136,17 @@ def report(done: list[dict[str, Any]]) -> str:
     for name, row in named.items():
         if len(row.methods) > 1:
             parts += [f"### {name}", "", HEAD, *(line(m, by_row[name], m) for m in row.methods), ""]
-    others = [row.name for row in named.values() if row.methods == OURS and "calibrated" not in row.name]
+    others = [
+        row.name
+        for row in named.values()
+        if row.methods == OURS and row.spoilt is None and "calibrated" not in row.name
+    ]
     parts += ["## Slower accelerometers, other biases, standing cars", "", HEAD]
     parts += [line(name, by_row[name], OURS[0]) for name in others]
     parts += ["", "At 10 Hz vibration is folded; the bound knows that.", "", "## What `ready` must never be", ""]
     parts += ["| estimator | ready | worst ° | beyond 10° |", "|---|---|---|---|", *never(done), ""]
+    parts += ["Boxes without a mounting to find:", "", "| drives | n | ready | what was said |", "|---|---|---|---|"]
+    parts += [*spoilt(by_row), ""]
     parts += [f"![Yaw errors by route and estimator]({FIGURE.relative_to(REPORT.parent)})", ""]
     return "\n".join(parts)
 
