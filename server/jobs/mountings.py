@@ -52,10 +52,11 @@ log = structlog.stdlib.get_logger("scatola.jobs")
 
 @dataclass(slots=True)
 class Sources:
-    """Where stored data comes from: pieces between two UTC times, and an installation's newest revision."""
+    """Where stored data comes from: pieces between two UTC times, and an installation's newest revision, if asked
+    for of those whose data ends before a moment."""
 
     pieces: Callable[[float, float], list[Piece]]
-    last_revision: Callable[[str], MountingRevision | None]
+    last_revision: Callable[[str, dt.datetime | None], MountingRevision | None]
 
 
 class Mountings:
@@ -191,6 +192,7 @@ class Mountings:
         for earlier, later in pairwise(parts):
             later.ended_at = earlier.ended_at
             earlier.ended_at = later.began_at
+        self._restore(row)
         for part in parts[:-1] if more else parts:
             own = stretch.between(*self._bounds(part))
             self._record(part, self._run(part, own), own, keep_ready=part is row)
@@ -205,6 +207,14 @@ class Mountings:
             "moved", moved.vehicle_id, installation_id=moved.id, moved_at=moved.began_at.isoformat(), angle_rad=angle
         )
         return moved
+
+    def _restore(self, row: Installation) -> None:
+        """Go back to what was known before a move: looks at data from both sides of it have told of neither."""
+        last = self._sources.last_revision(row.id, row.ended_at)
+        if last is None or row.beginning == "manual":
+            return
+        row.result, row.status, row.progress = last.result, last.status, last.progress
+        row.algorithm, row.input_sha256, row.updated_at = last.algorithm, last.input_sha256, self._now
 
     def _shift_beginning(self, row: Installation, unix_s: float) -> None:
         before = self.rows[self.rows.index(row) - 1]
@@ -276,7 +286,7 @@ class Mountings:
     ) -> None:
         data_at = _utc(stretch.end_unix_s)
         status = str(result["status"])
-        last = self._sources.last_revision(row.id)
+        last = self._sources.last_revision(row.id, None)
         since = (
             dt.timedelta.max if last is None or status != "ready" or last.status != "ready" else data_at - last.data_at
         )

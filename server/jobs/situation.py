@@ -167,7 +167,9 @@ def trips_of_boot(session: Session, device_id: str, boot: str) -> Sequence[Trip]
     return session.scalars(query.order_by(Trip.t_first_s)).all()
 
 
-def last_revision(session: Session, installation_id: str) -> MountingRevision | None:
-    """The newest revision of an installation by the time of its data."""
+def last_revision(session: Session, installation_id: str, before: dt.datetime | None) -> MountingRevision | None:
+    """The newest revision of an installation by the time of its data, of those with data before a moment only."""
     query = select(MountingRevision).where(MountingRevision.installation_id == installation_id)
+    if before is not None:
+        query = query.where(MountingRevision.data_at <= before)
     return session.scalar(query.order_by(MountingRevision.data_at.desc()).limit(1))

@@ -343,9 +343,9 @@ class Round:
         with self._database.reading() as session:
             return list(reads.trips_of_boot(session, self._situation.device.id, boot))
 
-    def _last_revision(self, installation_id: str) -> MountingRevision | None:
+    def _last_revision(self, installation_id: str, before: dt.datetime | None = None) -> MountingRevision | None:
         with self._database.reading() as session:
-            return reads.last_revision(session, installation_id)
+            return reads.last_revision(session, installation_id, before)
 
     def write(self) -> bool:
         """Store everything in one short transaction; False when the device changed since it was read."""
