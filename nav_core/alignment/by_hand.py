@@ -51,7 +51,7 @@ def tilt_errors(angle: Floats | float) -> tuple[Floats, Floats]:
 
     Parameters
     ----------
-    angle : ndarray or float
+    angle : ndarray or float, shape (...)
         rad.
 
     Returns
@@ -65,6 +65,16 @@ def tilt_errors(angle: Floats | float) -> tuple[Floats, Floats]:
 
 def largest_tilt(tolerance: float = TOLERANCE) -> float:
     """Largest tilt that a tolerance of the upright axis lets through, rad: 18.19° at 5 % (001 §3.2).
+
+    Parameters
+    ----------
+    tolerance : float
+        Share of gravity that the upright axis may miss, between 0 and 1.
+
+    Returns
+    -------
+    float
+        rad, between 0 and pi/2.
 
     Raises
     ------
@@ -138,4 +148,5 @@ def orientations(axis: int, sign: int) -> Floats:
     down[axis], forward[(axis + 1) % 3] = -sign, 1.0
     first = np.stack((forward, np.cross(down, forward), down))
     quarter = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    return np.stack([np.linalg.matrix_power(quarter, k) @ first for k in range(4)])
+    # A zero with a minus would make 180° of an angle -180°.
+    return np.stack([np.linalg.matrix_power(quarter, k) @ first for k in range(4)]) + 0.0

@@ -14,7 +14,7 @@ from nav_core.earth import STANDARD_GRAVITY, MagneticField, gravity
 from nav_core.errors import TooLittleDataError
 from nav_core.kalman import gate
 from nav_core.records import Inertial, Reason
-from nav_core.sensors import interval_means, static_intervals
+from nav_core.sensors.statics import interval_means, static_intervals
 from nav_core.typing import Floats
 
 RESTLESS = 0.5
@@ -157,6 +157,16 @@ def align(
 
 def longest_rest(inertial: Inertial) -> Rest | None:
     """The longest stretch at rest, or None.
+
+    Parameters
+    ----------
+    inertial : Inertial
+        Of a recording, A-frame.
+
+    Returns
+    -------
+    Rest or None
+        Its bounds, box clock, s, and the means of its readings, A-frame; None where the box never rests.
 
     Raises
     ------

@@ -29,6 +29,20 @@ def resolved(C: Floats, velocity: Floats, frame: Vector) -> Vector:
     """A velocity change of the body in the axes of a frame that turns by `frame`, rad, meanwhile.
 
     ``(I - [frame]x / 2) C velocity``: in the mean over the step the frame has turned by half.
+
+    Parameters
+    ----------
+    C : ndarray, shape (3, 3)
+        From b to the frame, at the start of the step.
+    velocity : ndarray, shape (3,)
+        b axes, m/s.
+    frame : tuple of 3 floats
+        Frame axes, rad.
+
+    Returns
+    -------
+    tuple of 3 floats
+        Frame axes, m/s.
     """
     x, y, z = velocity[0], velocity[1], velocity[2]
     change = (
@@ -41,7 +55,22 @@ def resolved(C: Floats, velocity: Floats, frame: Vector) -> Vector:
 
 @kernel
 def curvatures(sin_lat: float, height: float) -> tuple[float, float]:
-    """One over the radii of curvature along and across the meridian at a height, 1/m (as `earth.radii`)."""
+    """One over the radii of curvature along and across the meridian at a height, 1/m (as `earth.radii`).
+
+    Parameters
+    ----------
+    sin_lat : float
+        Sine of the geodetic latitude.
+    height : float
+        m.
+
+    Returns
+    -------
+    along : float
+        1/m.
+    across : float
+        1/m.
+    """
     bulge = 1.0 - ECCENTRICITY2 * sin_lat * sin_lat
     normal = earth.SEMI_MAJOR / np.sqrt(bulge)
     return 1.0 / (normal * (1.0 - ECCENTRICITY2) / bulge + height), 1.0 / (normal + height)
@@ -49,7 +78,22 @@ def curvatures(sin_lat: float, height: float) -> tuple[float, float]:
 
 @kernel
 def transport_of(along: float, across: float, tan_lat: float, v: Vector) -> Vector:
-    """Transport rate in T axes, rad/s (000 eq. 2.5.23), at curvatures `along` and `across` the meridian."""
+    """Transport rate in T axes, rad/s (000 eq. 2.5.23), at curvatures `along` and `across` the meridian.
+
+    Parameters
+    ----------
+    along, across : float
+        1/m.
+    tan_lat : float
+        Tangent of the geodetic latitude.
+    v : tuple of 3 floats
+        T axes, m/s.
+
+    Returns
+    -------
+    tuple of 3 floats
+        T axes, rad/s.
+    """
     return v[1] * across, -v[0] * along, -v[1] * across * tan_lat
 
 
@@ -58,6 +102,26 @@ def gained(C: Floats, velocity: Floats, spin: Vector, transport: Vector, v: Vect
     """Change of the velocity `v` over a step in T or w: 000 eqs. 2.5.19 and 2.5.24, integrated.
 
     `velocity` is that of the body, `down` gravity, m/s²; the rates are those of the middle of the step.
+
+    Parameters
+    ----------
+    C : ndarray, shape (3, 3)
+        From b to the frame, at the start of the step.
+    velocity : ndarray, shape (3,)
+        Velocity change of the body, b axes, m/s.
+    spin, transport : tuple of 3 floats
+        Rate of the Earth, and of the frame against it, frame axes, rad/s.
+    v : tuple of 3 floats
+        Frame axes, m/s.
+    down : float
+        m/s².
+    T : float
+        s.
+
+    Returns
+    -------
+    tuple of 3 floats
+        Frame axes, m/s.
     """
     change = resolved(C, velocity, total((T * spin[0], T * spin[1], T * spin[2]), T, transport))
     change = total(change, -T, cross(total(transport, 2.0, spin), v))
@@ -69,6 +133,23 @@ def step_local(place: Floats, v: Floats, C: Floats, rotation: Floats, velocity: 
     """Advance in T (000 §2.5.3).
 
     `place` is latitude, longitude (rad) and height (m); `v` (3,) north, east, down, m/s; `C` (3, 3) turns b into T.
+
+    Parameters
+    ----------
+    place : ndarray, shape (3,)
+        Overwritten.
+    v : ndarray, shape (3,)
+        Overwritten.
+    C : ndarray, shape (3, 3)
+        Overwritten.
+    rotation : ndarray, shape (3,)
+        Of the body over the step, b axes, rad.
+    velocity : ndarray, shape (3,)
+        Its velocity change, b axes, m/s.
+    T : float
+        s.
+    hold : bool
+        Whether the height is held.
     """
     now = (v[0], v[1], v[2])
     free = 0.0 if hold else 1.0
@@ -101,6 +182,23 @@ def step_up(place: Floats, v: Floats, C: Floats, rotation: Floats, velocity: Flo
 
     The axes are left-handed and `C`, from the right-handed b, has the determinant -1: cross products with
     rates change sign, which is what working in the mirror image does.
+
+    Parameters
+    ----------
+    place : ndarray, shape (3,)
+        Latitude, longitude, rad, and height, m; overwritten.
+    v : ndarray, shape (3,)
+        North, east, up, m/s; overwritten.
+    C : ndarray, shape (3, 3)
+        From b to north, east, up; overwritten.
+    rotation : ndarray, shape (3,)
+        Of the body over the step, b axes, rad.
+    velocity : ndarray, shape (3,)
+        Its velocity change, b axes, m/s.
+    T : float
+        s.
+    hold : bool
+        Whether the height is held.
     """
     v[2] = -v[2]
     for j in range(3):
@@ -109,96 +207,6 @@ def step_up(place: Floats, v: Floats, C: Floats, rotation: Floats, velocity: Flo
     v[2] = -v[2]
     for j in range(3):
         C[2, j] = -C[2, j]
-
-
-@kernel
-def wander_transport(axis: Vector, height: float, v: Vector) -> Vector:
-    """Transport rate in w axes, rad/s: its vertical component is zero (000 §2.5.4).
-
-    `axis` is the Earth's axis in w axes: ``cos(lat)`` times north in its first two components, ``-sin(lat)`` in the
-    third.  The curvatures along and across the meridian differ by a term in ``cos(lat)²``, so that `axis` itself, and
-    not the direction of north, says where they lie: no pole is singular.
-    """
-    along, across = curvatures(axis[2], height)
-    bulge = 1.0 - ECCENTRICITY2 * axis[2] * axis[2]
-    excess = earth.SEMI_MAJOR * ECCENTRICITY2 / (bulge * np.sqrt(bulge)) * along * across
-    excess *= axis[0] * v[0] + axis[1] * v[1]
-    return v[1] * across + excess * axis[1], -v[0] * across - excess * axis[0], 0.0
-
-
-@kernel
-def step_wander(
-    R_ew: Floats, height: float, v: Floats, C: Floats, rotation: Floats, velocity: Floats, T: float, hold: bool
-) -> float:
-    """Advance in wander azimuth (000 §2.5.4); returns the new height, m.
-
-    `R_ew` (3, 3) turns w into e, `v` (3,) is in w axes (z down), m/s, `C` (3, 3) turns b into w.
-    """
-    now = (v[0], v[1], v[2])
-    free = 0.0 if hold else 1.0
-    axis = (R_ew[2, 0], R_ew[2, 1], R_ew[2, 2])
-    # Half a step on, the axis has turned the other way round than w.
-    axis = total(axis, -0.5 * T, cross(wander_transport(axis, height, now), axis))
-    halfway = height - 0.5 * T * now[2]
-    down = float(gravity_at(axis[2] * axis[2], halfway))
-    spin = (RATE * axis[0], RATE * axis[1], RATE * axis[2])
-
-    transport = wander_transport(axis, halfway, now)
-    middle = total(now, 0.5, gained(C, velocity, spin, transport, now, down, T))
-    middle = (middle[0], middle[1], free * middle[2])
-    transport = wander_transport(axis, halfway, middle)
-    after = total(now, 1.0, gained(C, velocity, spin, transport, middle, down, T))
-    v[0], v[1], v[2] = after[0], after[1], free * after[2]
-
-    middle = (0.5 * (now[0] + v[0]), 0.5 * (now[1] + v[1]), 0.5 * (now[2] + v[2]))
-    transport = wander_transport(axis, halfway, middle)
-    turn(C, total((T * spin[0], T * spin[1], T * spin[2]), T, transport), (rotation[0], rotation[1], rotation[2]))
-    # Position is the attitude of w against e.
-    turn(R_ew, (0.0, 0.0, 0.0), (T * transport[0], T * transport[1], T * transport[2]))
-    return height - T * middle[2]
-
-
-@kernel
-def pull(x: float, y: float, z: float) -> Vector:
-    """Gravity at a position in e or i, m (both have z through the pole), in the same axes, m/s²."""
-    p = np.hypot(x, y)
-    sin_lat, cos_lat, height = meridian_of(p, z)
-    g = float(gravity_at(sin_lat * sin_lat, height))
-    outward = g * cos_lat / p if p > 0.0 else 0.0
-    return -outward * x, -outward * y, float(-g * sin_lat)
-
-
-@kernel
-def settle(r: Floats, v: Floats, height: float) -> None:
-    """Put a position in e or i back to `height`, m, and take the vertical part off its velocity."""
-    p = np.hypot(r[0], r[1])
-    sin_lat, cos_lat, now = meridian_of(p, r[2])
-    outward = cos_lat / p if p > 0.0 else 0.0
-    x, y, z = outward * r[0], outward * r[1], sin_lat
-    climb = x * v[0] + y * v[1] + z * v[2]
-    r[0], r[1], r[2] = r[0] + (height - now) * x, r[1] + (height - now) * y, r[2] + (height - now) * z
-    v[0], v[1], v[2] = v[0] - climb * x, v[1] - climb * y, v[2] - climb * z
-
-
-@kernel
-def step_cartesian(
-    r: Floats, v: Floats, C: Floats, rotation: Floats, velocity: Floats, T: float, frame_rate: float
-) -> None:
-    """Advance in e (000 §2.5.2) or i (§2.5.1), which turn with `frame_rate`: the Earth's, or none, rad/s.
-
-    `r` (3,) m; `v` (3,) the velocity against the Earth, m/s; `C` (3, 3) turns b into the frame.  With the Earth rate W
-    and the frame's F, ``v' = f - (W + F) x v + g`` (2.5.13, 2.5.9) and ``r' = v + (W - F) x r`` (2.5.1).
-    """
-    frame, both, drag = (0.0, 0.0, T * frame_rate), (0.0, 0.0, RATE + frame_rate), (0.0, 0.0, RATE - frame_rate)
-    now, place = (v[0], v[1], v[2]), (r[0], r[1], r[2])
-    middle = total(total(place, 0.5 * T, now), 0.5 * T, cross(drag, place))
-    force = total(resolved(C, velocity, frame), T, pull(middle[0], middle[1], middle[2]))
-    mean = total(now, 0.5, total(force, -T, cross(both, now)))
-    after = total(total(now, 1.0, force), -T, cross(both, mean))
-    place = total(total(total(place, 0.5 * T, now), 0.5 * T, after), T, cross(drag, middle))
-    v[0], v[1], v[2] = after[0], after[1], after[2]
-    r[0], r[1], r[2] = place[0], place[1], place[2]
-    turn(C, frame, (rotation[0], rotation[1], rotation[2]))
 
 
 @kernel
@@ -212,7 +220,36 @@ def run_local(
     hold: bool,
     up: bool,
 ) -> tuple[Floats, Floats, Floats]:
-    """Places (n + 1, 3), velocities (n + 1, 3) and attitudes (n + 1, 3, 3) of `step_local` or, with `up`, `step_up`."""
+    """Places (n + 1, 3), velocities (n + 1, 3) and attitudes (n + 1, 3, 3) of `step_local` or, with `up`, `step_up`.
+
+    Parameters
+    ----------
+    place : ndarray, shape (3,)
+        Latitude, longitude, rad, and height, m, at the start.
+    v : ndarray, shape (3,)
+        T axes, m/s.
+    C : ndarray, shape (3, 3)
+        From b to T.
+    rotation : ndarray, shape (n, 3)
+        Of the body over each step, b axes, rad.
+    velocity : ndarray, shape (n, 3)
+        Its velocity changes, b axes, m/s.
+    periods : ndarray, shape (n,)
+        s.
+    hold : bool
+        Whether the height is held.
+    up : bool
+        Whether the third axis of T points up.
+
+    Returns
+    -------
+    places : ndarray, shape (n + 1, 3)
+        rad, rad, m.
+    velocities : ndarray, shape (n + 1, 3)
+        m/s.
+    attitudes : ndarray, shape (n + 1, 3, 3)
+        From b to T.
+    """
     n = periods.size
     places, speeds, attitudes = np.empty((n + 1, 3)), np.empty((n + 1, 3)), np.empty((n + 1, 3, 3))
     places[0], speeds[0], attitudes[0] = place, v, C
@@ -222,60 +259,4 @@ def run_local(
             step_up(places[k + 1], speeds[k + 1], attitudes[k + 1], rotation[k], velocity[k], periods[k], hold)
         else:
             step_local(places[k + 1], speeds[k + 1], attitudes[k + 1], rotation[k], velocity[k], periods[k], hold)
-    return places, speeds, attitudes
-
-
-@kernel
-def run_wander(
-    R_ew: Floats,
-    height: float,
-    v: Floats,
-    C: Floats,
-    rotation: Floats,
-    velocity: Floats,
-    periods: Floats,
-    hold: bool,
-) -> tuple[Floats, Floats, Floats, Floats]:
-    """``R_ew`` (n + 1, 3, 3), heights (n + 1,), velocities and attitudes of `step_wander`."""
-    n = periods.size
-    frames, heights = np.empty((n + 1, 3, 3)), np.empty(n + 1)
-    speeds, attitudes = np.empty((n + 1, 3)), np.empty((n + 1, 3, 3))
-    frames[0], heights[0], speeds[0], attitudes[0] = R_ew, height, v, C
-    for k in range(n):
-        frames[k + 1], speeds[k + 1], attitudes[k + 1] = frames[k], speeds[k], attitudes[k]
-        heights[k + 1] = step_wander(
-            frames[k + 1],
-            heights[k],
-            speeds[k + 1],
-            attitudes[k + 1],
-            rotation[k],
-            velocity[k],
-            periods[k],
-            hold,
-        )
-    return frames, heights, speeds, attitudes
-
-
-@kernel
-def run_cartesian(
-    r: Floats,
-    v: Floats,
-    C: Floats,
-    rotation: Floats,
-    velocity: Floats,
-    periods: Floats,
-    hold: bool,
-    inertial: bool,
-) -> tuple[Floats, Floats, Floats]:
-    """Positions, velocities and attitudes of `step_cartesian` in e or, with `inertial`, in i."""
-    n = periods.size
-    places, speeds, attitudes = np.empty((n + 1, 3)), np.empty((n + 1, 3)), np.empty((n + 1, 3, 3))
-    places[0], speeds[0], attitudes[0] = r, v, C
-    _, _, height = meridian_of(np.hypot(r[0], r[1]), r[2])
-    frame_rate = 0.0 if inertial else RATE
-    for k in range(n):
-        places[k + 1], speeds[k + 1], attitudes[k + 1] = places[k], speeds[k], attitudes[k]
-        step_cartesian(places[k + 1], speeds[k + 1], attitudes[k + 1], rotation[k], velocity[k], periods[k], frame_rate)
-        if hold:
-            settle(places[k + 1], speeds[k + 1], float(height))
     return places, speeds, attitudes
