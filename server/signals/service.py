@@ -76,7 +76,7 @@ def signals(
     t0 = window.begin.timestamp()
     span = window.end.timestamp() - t0
     groups = groups_of(names)
-    parts = [_part(store, piece, t0, groups) for piece in pieces]
+    parts = [part for piece in pieces if (part := _part(store, piece, t0, groups)) is not None]
     turned = frame == "v" and bool(mountings)
     curves: list[Curve] = []
     pauses: list[tuple[float, float]] = []
@@ -93,9 +93,12 @@ def signals(
     return Signals(window.begin, "v" if turned else "a", curves, pauses[:MAX_GAPS])
 
 
-def _part(store: BlobStore, piece: Piece, t0: float, groups: Sequence[tuple[str, ...]]) -> list[Curve]:
-    """One batch as a curve per group, only rows that have a value."""
-    columns = Columns.from_parquet(store.get(piece.blob_key)).values
+def _part(store: BlobStore, piece: Piece, t0: float, groups: Sequence[tuple[str, ...]]) -> list[Curve] | None:
+    """One batch as a curve per group, only rows that have a value; None when it was erased since it was found."""
+    try:
+        columns = Columns.from_parquet(store.get(piece.blob_key)).values
+    except KeyError:
+        return None
     t = piece.utc_offset_s - t0 + (1.0 + piece.utc_drift) * columns["t"]
     nothing = np.full(t.size, np.nan)
     parts: list[Curve] = []
