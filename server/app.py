@@ -32,7 +32,9 @@ from server.live import routes as live
 from server.migrations import is_current
 from server.pages import accounts as account_pages
 from server.pages import fleet_routes, templating
+from server.pages import privacy as privacy_pages
 from server.pages import routes as pages
+from server.privacy import routes as privacy
 from server.reports import routes as reports
 from server.resources import folder
 from server.settings import Settings
@@ -119,6 +121,7 @@ def create_app(settings: Settings, *, clock: Clock = utc_now) -> FastAPI:
         events,
         reports,
         evidence,
+        privacy,
         live,
         signals,
         tickets,
@@ -127,6 +130,7 @@ def create_app(settings: Settings, *, clock: Clock = utc_now) -> FastAPI:
         pages,
         fleet_routes,
         account_pages,
+        privacy_pages,
     ):
         app.include_router(part.router, responses=problems.described(401, 403, 404, 422))
     app.mount("/static/vendor", StaticFiles(directory=folder("web") / "vendor", check_dir=False))

@@ -41,6 +41,10 @@ class ConflictError(ProblemError):
     status, code, title = 409, "conflict", "In conflict with what is stored"
 
 
+class GoneError(ProblemError):
+    status, code, title = 410, "erased", "Erased"
+
+
 class TooLargeError(ProblemError):
     status, code, title = 413, "too_large", "Body is too large"
 

@@ -15,6 +15,7 @@ from starlette.responses import Response
 from server.errors import (
     ConflictError,
     ForbiddenError,
+    GoneError,
     InvalidError,
     NotFoundError,
     ProblemError,
@@ -59,6 +60,7 @@ DESCRIBED: tuple[type[ProblemError], ...] = (
     ForbiddenError,
     NotFoundError,
     ConflictError,
+    GoneError,
     TooLargeError,
     UnsupportedMediaError,
     InvalidError,

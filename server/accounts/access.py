@@ -77,6 +77,19 @@ def look_at_places(connection: HTTPConnection, caller: Caller) -> None:
         look(connection, caller, "location.read")
 
 
+def sees_places(at_least: Permission) -> Callable[[HTTPConnection], Awaitable[Caller]]:
+    """A dependency: a caller that may see places, if only coarsely; an exact look is written to the audit log."""
+
+    async def with_sight(connection: HTTPConnection) -> Caller:
+        caller = await caller_of(connection)
+        if caller.kind not in _PEOPLE or not (caller.may(at_least) or caller.may("location.read")):
+            raise ForbiddenError(f"Needs the permission {at_least}, or location.read")
+        await run_in_threadpool(look_at_places, connection, caller)
+        return caller
+
+    return with_sight
+
+
 def address_of(connection: HTTPConnection) -> str:
     """Where a request came from, as far as the proxies in front are believed."""
     return connection.client.host if connection.client else ""
@@ -103,9 +116,12 @@ Reader = Annotated[Caller, Depends(needs("fleet.read"))]
 Administrator = Annotated[Caller, Depends(needs("fleet.write"))]
 Installer = Annotated[Caller, Depends(needs("install"))]
 LocationReader = Annotated[Caller, Depends(looks_at("location.read"))]
+PlaceReader = Annotated[Caller, Depends(sees_places("location.coarse"))]
 RawReader = Annotated[Caller, Depends(looks_at("raw.read"))]
 Reviewer = Annotated[Caller, Depends(needs("events.review"))]
 UserManager = Annotated[Caller, Depends(needs("users.manage"))]
+PrivacyManager = Annotated[Caller, Depends(needs("privacy.manage"))]
+PrivacyExporter = Annotated[Caller, Depends(needs("privacy.export"))]
 AuditReader = Annotated[Caller, Depends(needs("audit.read"))]
 Operator = Annotated[Caller, Depends(operator)]
 DeviceCaller = Annotated[Caller, Depends(device_caller)]
@@ -119,6 +135,9 @@ __all__ = [
     "Installer",
     "LocationReader",
     "Operator",
+    "PlaceReader",
+    "PrivacyExporter",
+    "PrivacyManager",
     "RawReader",
     "Reader",
     "Reviewer",

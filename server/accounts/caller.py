@@ -14,11 +14,12 @@ class Caller:
     """An authenticated caller.
 
     ``admin`` holds the administrator's token, ``session`` is a signed-in browser, ``key`` a program with an API
-    key, ``device`` a box, ``ticket`` a view that was opened for one device.
+    key, ``device`` a box, ``ticket`` a view that was opened for one device, ``job`` the service itself or its operator
+    at the command line, for the audit log.
     """
 
     organisation_id: str
-    kind: Literal["admin", "session", "key", "device", "ticket"]
+    kind: Literal["admin", "session", "key", "device", "ticket", "job"]
     name: str = ""
     permissions: frozenset[Permission] = frozenset()
     user_id: str | None = None

@@ -9,20 +9,23 @@ Permission = Literal[
     "fleet.write",  # register, swap, revoke, configure
     "install",  # mountings by hand, claim codes, which vehicle a box sits in
     "location.read",  # where a vehicle is or was
+    "location.coarse",  # the same to about a kilometre (`server.accounts.places`)
     "raw.read",  # the samples themselves
     "events.review",  # say what an event was, order and end legal holds
     "users.manage",  # people, API keys
     "audit.read",  # who did and saw what
+    "privacy.manage",  # how long data are kept, what is erased
+    "privacy.export",  # everything that is held about a vehicle or a user, in one file
 ]
 PERMISSIONS: tuple[Permission, ...] = get_args(Permission)
 ALL: frozenset[Permission] = frozenset(PERMISSIONS)
 
 ROLE_PERMISSIONS: dict[str, frozenset[Permission]] = {
     "admin": ALL,
-    "manager": frozenset({"fleet.read", "fleet.write", "install", "location.read"}),
-    "installer": frozenset({"fleet.read", "install"}),
-    "claims": frozenset({"fleet.read", "location.read", "raw.read", "events.review"}),
-    "reader": frozenset({"fleet.read"}),
+    "manager": frozenset({"fleet.read", "fleet.write", "install", "location.read", "location.coarse"}),
+    "installer": frozenset({"fleet.read", "install", "location.coarse"}),
+    "claims": frozenset({"fleet.read", "location.read", "location.coarse", "raw.read", "events.review"}),
+    "reader": frozenset({"fleet.read", "location.coarse"}),
 }
 
 

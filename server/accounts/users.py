@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import datetime as dt
 from dataclasses import dataclass
+from typing import Any
 
-from sqlalchemy import delete, func, select, update
-from sqlalchemy.orm import Session
+from sqlalchemy import ColumnElement, delete, func, or_, select, update
+from sqlalchemy.orm import InstrumentedAttribute, Session
 
 from server.accounts import audit, passwords, service
 from server.accounts.caller import Caller
@@ -15,9 +16,20 @@ from server.accounts.schemas import ApiKeyIn, UserChange, UserIn
 from server.accounts.secrets import KEY_PREFIX, hash_of, new_token
 from server.errors import ConflictError, InvalidError, NotFoundError, UnauthenticatedError
 from server.isolation import EVERYWHERE
-from server.models import ApiKey, Organisation, User, WebSession, new_id
+from server.models import (
+    ApiKey,
+    AuditEntry,
+    Event,
+    EventAction,
+    Organisation,
+    SignInCode,
+    User,
+    WebSession,
+    new_id,
+)
 from server.wording import marked
 
+ERASED_DOMAIN = "@erased.invalid"
 FREE_FAILURES = 5
 _FIRST_LOCK, _LONGEST_LOCK = dt.timedelta(minutes=1), dt.timedelta(hours=1)
 
@@ -236,3 +248,42 @@ def add_organisation(
     user, code = add_user(session, organisation.id, caller, administrator, now=now)
     audit.record(session, caller, "organisation.added", name, now=now, detail={"id": organisation.id})
     return organisation, user, code
+
+
+# --- a person's right to be forgotten
+
+
+def user_holdings(session: Session, user: User) -> tuple[dict[str, int], dict[str, int]]:
+    """What erasing a user takes, and what stays: entries of the audit log, and what they said of events."""
+
+    def count(column: InstrumentedAttribute[Any], *wanted: ColumnElement[bool]) -> int:
+        return session.scalar(select(func.count(column)).where(*wanted)) or 0
+
+    takes = {
+        "account": int(not user.email.endswith(ERASED_DOMAIN)),
+        "sessions": count(WebSession.id, WebSession.user_id == user.id),
+        "sign-in codes": count(SignInCode.code_hash, SignInCode.user_id == user.id),
+        "API keys": count(ApiKey.id, ApiKey.user_id == user.id, ApiKey.revoked_at.is_(None)),
+    }
+    theirs = or_(AuditEntry.actor_id == user.id, AuditEntry.actor_name == user.email, AuditEntry.subject == user.email)
+    of_events = EventAction.actor == user.email, Event.organisation_id == user.organisation_id
+    query = select(func.count(EventAction.id)).join(Event, Event.id == EventAction.event_id).where(*of_events)
+    stays = {
+        "audit entries": count(AuditEntry.id, AuditEntry.organisation_id == user.organisation_id, theirs),
+        "event actions": session.scalar(query) or 0,
+    }
+    return takes, stays
+
+
+def erase_user(session: Session, user: User, *, now: dt.datetime) -> None:
+    """Leave a row without a person: rows that name it by its id stay true."""
+    session.get_one(Organisation, user.organisation_id, with_for_update=True)
+    if user.role == "admin" and user.disabled_at is None and _administrators(session, user.organisation_id) == 1:
+        raise ConflictError("The last administrator stays", code="last_administrator")
+    session.execute(delete(WebSession).where(WebSession.user_id == user.id))
+    session.execute(delete(SignInCode).where(SignInCode.user_id == user.id))
+    ends = ApiKey.user_id == user.id, ApiKey.revoked_at.is_(None)
+    session.execute(update(ApiKey).where(*ends).values(revoked_at=now))
+    user.email, user.name = f"erased-{user.id}{ERASED_DOMAIN}", "Erased user"
+    user.password_hash = user.totp_secret = user.locked_until = user.signed_in_at = None
+    user.totp_confirmed, user.failures, user.disabled_at = False, 0, user.disabled_at or now

@@ -61,6 +61,8 @@ def _boxes(args: argparse.Namespace) -> int:
                 "links": each.links,
                 "revisions": each.revisions,
                 "seals": each.seals,
+                "erased_links": each.erased_links,
+                "erased_revisions": each.erased_revisions,
                 "faults": each.faults,
             }
             for each in audits
@@ -69,6 +71,8 @@ def _boxes(args: argparse.Namespace) -> int:
     else:
         for each in audits:
             counts = f"{each.links} links, {each.seals} seals, {each.revisions} revisions of events"
+            if each.erased_links or each.erased_revisions:
+                counts += f"; erased: raw data of {each.erased_links} links, {each.erased_revisions} revisions"
             print(f"{'ok   ' if each.passed else 'WRONG'}  {each.name}: {counts}")
             for fault in each.faults:
                 print(f"       {fault}")

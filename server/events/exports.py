@@ -16,7 +16,7 @@ from server.events.window import Part, between, merged
 from server.formats.columns import Columns
 from server.formats.tables import write_csv
 from server.models import Batch
-from server.store import BlobStore
+from server.store import BlobStore, raw_columns
 
 TraceFormat = Literal["parquet", "csv", "mcap"]
 TRACE_MEDIA = {
@@ -85,7 +85,7 @@ def trace(store: BlobStore, document: dict[str, Any], batches: Sequence[Batch]) 
     parts: list[Part] = []
     for batch in used(document, batches):
         try:
-            parts.append(Part(Columns.from_parquet(store.get(batch.blob_key)), batch.stream == "burst"))
+            parts.append(Part(raw_columns(store, batch), batch.stream == "burst"))
         except KeyError:
             raise NotFoundError(f"The raw data of batch {batch.chain_index} are erased", code="erased") from None
     first, last = document["event"]["basis"]["window_s"]

@@ -11,9 +11,10 @@ import zstandard
 from sqlalchemy import Select, select, tuple_
 from sqlalchemy.orm import Session
 
-from server.errors import NotFoundError
+from server.errors import GoneError, NotFoundError
 from server.models import Batch, ChainSeal, Event, EventAction, EventInput, EventRevision
 
+LISTED = Event.withdrawn_at.is_(None), Event.erased_at.is_(None)
 MAX_DOCUMENT_BYTES = 256 * 1024 * 1024
 
 
@@ -30,7 +31,7 @@ def selection(
     limit: int,
 ) -> Select[Event]:
     """Events that were not withdrawn, the newest first, from after `before` in that order."""
-    query = select(Event).where(Event.organisation_id == organisation_id, Event.withdrawn_at.is_(None))
+    query = select(Event).where(Event.organisation_id == organisation_id, *LISTED)
     for column, wanted in ((Event.device_id, device_id), (Event.vehicle_id, vehicle_id), (Event.severe, severe)):
         if wanted is not None:
             query = query.where(column == wanted)
@@ -55,6 +56,8 @@ def event_of(session: Session, organisation_id: str, event_id: str, *, lock: boo
     event = session.get(Event, event_id, with_for_update=lock)
     if event is None or event.organisation_id != organisation_id:
         raise NotFoundError(f"There is no event {event_id!r}")
+    if event.erased_at is not None:
+        raise GoneError("The event is erased; its hashes stay in the chain of evidence", erased_at=event.erased_at)
     return event
 
 
@@ -105,6 +108,7 @@ def batches_between(session: Session, device_id: str, boot: str, first_s: float,
         Batch.t_last_s >= first_s,
         Batch.t_first_s <= last_s,
         Batch.failure.is_(None),
+        Batch.erasing_at.is_(None),
     )
     return session.scalars(query.order_by(Batch.chain_index)).all()
 
@@ -112,7 +116,11 @@ def batches_between(session: Session, device_id: str, boot: str, first_s: float,
 def stored_between(session: Session, device_id: str, boot: str, first_s: float, last_s: float) -> Sequence[Event]:
     """Events of a boot that touch a span of the box's clock, the withdrawn ones too."""
     query = select(Event).where(
-        Event.device_id == device_id, Event.boot == boot, Event.t_end_s >= first_s, Event.t0_s <= last_s
+        Event.device_id == device_id,
+        Event.boot == boot,
+        Event.t_end_s >= first_s,
+        Event.t0_s <= last_s,
+        Event.erased_at.is_(None),
     )
     return session.scalars(query.order_by(Event.t0_s)).all()
 

@@ -8,16 +8,20 @@ from typing import Annotated, Any, Literal
 
 import orjson
 from fastapi import APIRouter, Path, Query, Request
+from sqlalchemy.orm import Session
 from starlette.responses import Response
 
+from server.accounts import audit
 from server.accounts.access import (
     Caller,
     LocationReader,
     RawReader,
     Reader,
     Reviewer,
+    address_of,
     look_at_places,
 )
+from server.accounts.places import sight_of
 from server.database import Database
 from server.edge import DatabaseOf, Moment, Now, StoreOf
 from server.errors import InvalidError
@@ -62,7 +66,7 @@ def list_events(
     before: Annotated[str | None, Query(max_length=100)] = None,
     limit: Annotated[int, Query(ge=1, le=500)] = 100,
 ) -> EventPage:
-    """Events, the newest first, a page at a time; without location.read, where the vehicle came to rest is null."""
+    """Events, the newest first, a page at a time; the place of rest is coarse or null without location.read."""
     look_at_places(request, caller)
     with database.reading() as session:
         rows = queries.events(
@@ -79,7 +83,7 @@ def list_events(
         )
         last = rows[limit - 1] if len(rows) > limit else None
         return EventPage(
-            items=[event_out(row, located=caller.may("location.read")) for row in rows[:limit]],
+            items=[event_out(row, sight=sight_of(caller)) for row in rows[:limit]],
             next=None if last is None else f"{last.at.isoformat()}~{last.id}",
         )
 
@@ -94,11 +98,11 @@ def _place(before: str) -> tuple[dt.datetime, str]:
 
 @router.get("/{event_id}")
 def read(request: Request, event_id: EventId, caller: Reader, database: DatabaseOf) -> EventDetail:
-    """One event as its newest revision tells it; without location.read, where the vehicle came to rest is null."""
+    """One event as its newest revision tells it; the place of rest is coarse or null without location.read."""
     look_at_places(request, caller)
     with database.reading() as session:
         event = queries.event_of(session, caller.organisation_id, event_id)
-        return event_detail(event, queries.revision_of(session, event), located=caller.may("location.read"))
+        return event_detail(event, queries.revision_of(session, event), sight=sight_of(caller))
 
 
 @router.get("/{event_id}/revisions")
@@ -141,7 +145,7 @@ def put_review(
         event = service.review(
             session, caller.organisation_id, event_id, wanted.verdict, wanted.note, actor=caller.name, now=now
         )
-        return event_out(event, located=caller.may("location.read"))
+        return event_out(event, sight=sight_of(caller))
 
 
 @router.put("/{event_id}/hold")
@@ -160,7 +164,15 @@ def put_hold(
             actor=caller.name,
             now=now,
         )
-        return event_out(event, located=caller.may("location.read"))
+        note_hold(session, request, caller, event, now=now)
+        return event_out(event, sight=sight_of(caller))
+
+
+def note_hold(session: Session, request: Request, caller: Caller, event: Event, *, now: dt.datetime) -> None:
+    """Tell the audit log of a hold that was placed or ended."""
+    action = "hold.ended" if event.held_at is None else "hold.placed"
+    detail = {} if event.hold_reason is None else {"reason": event.hold_reason}
+    audit.record(session, caller, action, f"event {event.id}", now=now, address=address_of(request), detail=detail)
 
 
 @dataclass(frozen=True)

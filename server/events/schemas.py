@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from server.accounts.places import Sight, seen
 from server.models import Event, EventAction, EventRevision
 
 Verdict = Literal["confirmed", "false_alarm"]
@@ -85,6 +86,9 @@ class EventOut(CrashOut):
     updated_at: dt.datetime
     revision: int
     withdrawn_at: dt.datetime | None
+    raw_erased_at: dt.datetime | None = Field(
+        description="since when raw data that it rests on are erased: it cannot be computed again"
+    )
     review: ReviewOut
     hold: HoldOut
 
@@ -151,35 +155,39 @@ class HoldIn(BaseModel):
     reason: Annotated[str, Field(min_length=1, max_length=500)]
 
 
-def event_out(event: Event, *, located: bool) -> EventOut:
-    """An event as JSON; not `located`, without the place where it ended."""
-    return EventOut(**_fields(event, located=located))
+def event_out(event: Event, *, sight: Sight) -> EventOut:
+    """An event as JSON; where it ended as the caller may see it."""
+    return EventOut(**_fields(event, sight=sight))
 
 
-def event_detail(event: Event, revision: EventRevision, *, located: bool) -> EventDetail:
+def event_detail(event: Event, revision: EventRevision, *, sight: Sight) -> EventDetail:
     """An event with the hashes of its newest revision."""
     return EventDetail(
-        **_fields(event, located=located),
+        **_fields(event, sight=sight),
         algorithm=revision.algorithm,
         input_sha256=revision.input_sha256,
         event_sha256=revision.event_sha256,
     )
 
 
-def _fields(event: Event, *, located: bool) -> dict[str, Any]:
+def _fields(event: Event, *, sight: Sight) -> dict[str, Any]:
     own = ("id", "device_id", "vehicle_id", "boot", "at", "severe", "created_at", "updated_at", "revision")
     return {
-        **(event.result if located else without_place(event.result)),
-        **{name: getattr(event, name) for name in (*own, "withdrawn_at")},
+        **with_place(event.result, sight),
+        **{name: getattr(event, name) for name in (*own, "withdrawn_at", "raw_erased_at")},
         "review": ReviewOut.model_validate(event, from_attributes=True),
         "hold": HoldOut(held=event.held_at is not None, since=event.held_at, reason=event.hold_reason),
     }
 
 
-def without_place(told: dict[str, Any]) -> dict[str, Any]:
-    """The crash JSON for whoever may not see where vehicles are: the way's length stays, its end is null."""
+def with_place(told: dict[str, Any], sight: Sight) -> dict[str, Any]:
+    """The crash JSON with the end of the way as it may be told; the way's length stays."""
     rest = told.get("rest")
-    return told if rest is None else {**told, "rest": {**rest, "lat": None, "lon": None}}
+    if rest is None or sight == "exact":
+        return told
+    place = seen(rest.get("lat"), rest.get("lon"), sight)
+    end = {"lat": None, "lon": None} if place is None else {"lat": place.lat_deg, "lon": place.lon_deg}
+    return {**told, "rest": {**rest, **end}}
 
 
 def revision_out(revision: EventRevision) -> RevisionOut:

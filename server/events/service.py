@@ -6,11 +6,12 @@ import datetime as dt
 from collections.abc import Iterator
 from typing import Any
 
+from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from server.events.queries import event_of
 from server.live.changes import announce
-from server.models import Event, EventAction
+from server.models import Device, Event, EventAction
 
 
 def review(
@@ -34,6 +35,9 @@ def hold(
     session: Session, organisation_id: str, event_id: str, *, held: bool, reason: str, actor: str, now: dt.datetime
 ) -> Event:
     """Begin or end a legal hold: while it lasts nothing that the event rests on may be erased."""
+    device_id = event_of(session, organisation_id, event_id).device_id
+    # First the box's row, as whoever erases its data does: what is not marked by then stays.
+    session.execute(select(Device.id).where(Device.id == device_id).with_for_update())
     event = event_of(session, organisation_id, event_id, lock=True)
     event.held_at, event.hold_reason = ((event.held_at or now), reason) if held else (None, None)
     _record(session, event, "held" if held else "released", reason, actor=actor, now=now)

@@ -33,6 +33,9 @@ class Audit:
     links: int = 0
     revisions: int = 0
     seals: int = 0
+    erased_links: int = 0
+    """Whose raw data were erased by retention or by order; their hashes hold the chain together."""
+    erased_revisions: int = 0
     faults: list[str] = field(default_factory=list[str])
 
     @property
@@ -80,23 +83,31 @@ def audit(database: Database, store: BlobStore, device_id: str, *, root_pem: byt
         found.faults.append("the chain does not end where the box's row says")
     for seal in seals:
         _look_at_seal(found, seal, heads, root_pem)
-    for event_id, revision_id in _revisions(database, device_id):
+    for event_id, erased, revision_id in _revisions(database, device_id):
         with database.reading() as session:
-            _look_at_revision(found, event_id, session.get_one(EventRevision, revision_id))
+            _look_at_revision(found, event_id, session.get_one(EventRevision, revision_id), erased=erased)
     return found
 
 
-def _revisions(database: Database, device_id: str) -> Sequence[tuple[str, str]]:
-    """Ids of events and of their revisions; the documents are read one at a time."""
-    query = select(Event.id, EventRevision.id).join(EventRevision, EventRevision.event_id == Event.id)
+def _revisions(database: Database, device_id: str) -> Sequence[tuple[str, bool, str]]:
+    """Ids of events, whether they are erased, and ids of their revisions; the documents are read one at a time."""
+    query = select(Event.id, Event.erased_at, EventRevision.id).join(EventRevision, EventRevision.event_id == Event.id)
     query = query.where(Event.device_id == device_id).order_by(Event.at, Event.id, EventRevision.number)
     with database.reading() as session:
-        return [(event_id, revision_id) for event_id, revision_id in session.execute(query)]
+        return [
+            (event_id, erased_at is not None, revision_id)
+            for event_id, erased_at, revision_id in session.execute(query)
+        ]
 
 
-def _look_at_revision(found: Audit, event_id: str, revision: EventRevision) -> None:
+def _look_at_revision(found: Audit, event_id: str, revision: EventRevision, *, erased: bool) -> None:
     found.revisions += 1
     where = f"revision {revision.number} of event {event_id}"
+    if erased:
+        found.erased_revisions += 1
+        if revision.document:
+            found.faults.append(f"{where} is called erased and is still there")
+        return
     try:
         content = canonical_bytes(revision)
         told = json.loads(content)["inputs"]
@@ -124,9 +135,12 @@ def _batches(database: Database, device_id: str, length: int) -> Iterator[Batch]
 
 
 def _look_at_blobs(found: Audit, store: BlobStore, batch: Batch) -> None:
+    if batch.erasing_at is not None:
+        found.erased_links += 1
+        return
     try:
         columns = Columns.from_parquet(store.get(batch.blob_key))
-    except KeyError:  # nothing that was accepted is ever erased
+    except KeyError:  # what was erased has a row that says so
         found.faults.append(f"link {batch.chain_index}: raw data are missing")
     except ProblemError as problem:
         found.faults.append(f"link {batch.chain_index}: raw data cannot be read: {problem.detail}")

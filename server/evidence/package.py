@@ -6,6 +6,7 @@ import io
 import json
 import zipfile
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
@@ -29,7 +30,7 @@ from server.ingest.chain import instant
 from server.models import Batch, ChainSeal
 from server.reports.pdf import Heading, report_pdf
 from server.settings import Settings
-from server.store import BlobStore
+from server.store import BlobStore, raw_body, raw_columns
 
 log = structlog.stdlib.get_logger("scatola.evidence")
 
@@ -114,8 +115,10 @@ def chain_json(material: Material) -> dict[str, Any]:
 
 
 def link_json(batch: Batch) -> dict[str, Any]:
-    """One link with everything that its hash is of."""
+    """One link with everything that its hash is of, and whether its raw data were erased."""
+    erased = {} if batch.erasing_at is None else {"erased_at": instant(batch.erasing_at)}
     return {
+        **erased,
         "chain_index": batch.chain_index,
         "body_sha256": batch.body_sha256,
         "column_sha256": batch.column_sha256,
@@ -189,13 +192,14 @@ def _signed(manifest: bytes, settings: Settings) -> dict[str, bytes]:
 def _raw(batch: Batch, store: BlobStore) -> dict[str, bytes]:
     found: dict[str, bytes] = {}
     try:
-        columns = Columns.from_parquet(store.get(batch.blob_key))
+        columns = raw_columns(store, batch)
         found[f"raw/{batch.chain_index}.columns"] = hashed_bytes(columns)
         found[f"raw/{batch.chain_index}.csv"] = write_csv(columns)
     except KeyError:
-        pass  # gone: the chain still holds its hashes, and the verifier finds it missing
-    if batch.body_key is not None and store.exists(batch.body_key):
-        found[f"raw/{batch.chain_index}.body"] = store.get(batch.body_key)
+        return {}  # gone: the chain still holds its hashes, and the verifier finds it missing
+    with suppress(KeyError):
+        body = raw_body(store, batch)
+        found |= {} if body is None else {f"raw/{batch.chain_index}.body": body}
     return found
 
 

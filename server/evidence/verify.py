@@ -229,6 +229,14 @@ def _check_raw(
     report.add("raw data are those in the chain", not wrong, ", ".join(wrong) or told)
     needed = {*chain["needed"], *(batch["chain_index"] for batch in document["inputs"]["batches"])}
     gone = [f"raw/{index}.columns" for index in sorted(needed) if f"raw/{index}.columns" not in names]
+    told_erased = {f"raw/{row['chain_index']}.columns" for row in chain["links"] if row.get("erased_at")}
+    erased = [name for name in gone if name in told_erased]
+    if erased:
+        report.limits.append(
+            "ERASED: " + ", ".join(erased) + ": the operator says that the raw data were erased by retention or "
+            "order; their hashes stay in the chain, and the event cannot be computed again from this archive"
+        )
+    gone = [name for name in gone if name not in told_erased]
     report.add(
         "raw data are there of all that the event rests on", not gone, ", ".join(gone) or f"{len(needed)} uploads"
     )

@@ -87,6 +87,7 @@ class InstallationOut(MountOut):
     updated_at: dt.datetime | None
     algorithm: str | None
     input_sha256: str | None
+    raw_erased_at: dt.datetime | None = Field(default=None, description="since when data that it rests on are erased")
     revisions: list[RevisionOut] | None = None
 
 
@@ -136,6 +137,7 @@ def installation_out(
         "updated_at",
         "algorithm",
         "input_sha256",
+        "raw_erased_at",
     ):
         fields[name] = None if row is None else getattr(row, name)
     if revisions is not None:

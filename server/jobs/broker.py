@@ -111,7 +111,7 @@ def run_consumer(
 ) -> None:
     """Work off what the queue brings, and send again what stays due, until told to stop."""
     from server.jobs.work import bring_up_to_date
-    from server.jobs.worker import start_housekeeping, start_sealing
+    from server.jobs.worker import start_erasing, start_housekeeping, start_sealing
 
     assert settings.broker_url is not None
     database, store = Database(settings), open_store(settings)
@@ -128,6 +128,7 @@ def run_consumer(
     worker = dramatiq.Worker(broker, queues={queue, bursts}, worker_threads=1)
     worker.start()
     keeper = start_housekeeping(database, store, stop=stop, clock=clock)
+    eraser = start_erasing(database, store, stop=stop, clock=clock)
     sealer = start_sealing(database, settings, stop=stop, clock=clock)
     sweep = Sweep(database, broker, queue, clock)
     try:
@@ -138,6 +139,7 @@ def run_consumer(
         worker.stop(timeout=STOP_MS)
         broker.close()
         keeper.join()
+        eraser.join()
         if sealer is not None:
             sealer.join()
         database.dispose()

@@ -24,6 +24,7 @@ from server.database import Database
 from server.events import queries
 from server.events.canonical import canonical, settle
 from server.events.document import document_of
+from server.events.holds import AFTER_S, BEFORE_S
 from server.events.window import Part, merged
 from server.formats.columns import Columns
 from server.formats.drive import to_drive
@@ -38,8 +39,6 @@ CONTEXT_S = 30.0
 """So much before and after new data helps to judge it."""
 BACK_S = 5.0
 """An event may have begun this long before the data that completes it."""
-BEFORE_S, AFTER_S = 40.0, 35.0
-"""What a reconstruction takes in around a severe event."""
 SAME_S = 1.5
 """Two time zeros closer than this are one event seen twice."""
 STRETCH_S = 600.0
@@ -130,7 +129,8 @@ class Events:
         for row in stored:
             installation = self._installation_at(self._situation.boots[row.boot], row.t0_s)
             waiting = row.result["basis"]["mounting_status"] != "ready"
-            if waiting and installation is not None and installation.id in ready and row.id not in self._done:
+            known = installation is not None and installation.id in ready
+            if waiting and known and row.raw_erased_at is None and row.id not in self._done:
                 self._revise(row)
 
     def _look(self, boot: Boot, first_s: float, last_s: float) -> None:
@@ -144,6 +144,8 @@ class Events:
             row = _same(open_rows, each.event)
             if row is not None:
                 open_rows.remove(row)
+            if row is not None and row.raw_erased_at is not None:
+                continue  # what is left of its data would tell less than it says already
             if row is not None and row.severe:
                 self._revise(row, each)
             elif each.event.severe:
@@ -151,6 +153,8 @@ class Events:
             else:
                 self._store(boot, row, each)
         for row in open_rows:
+            if row.raw_erased_at is not None:
+                continue
             if row.severe:
                 self._revise(row)
             elif since + SAME_S <= row.t0_s <= last_s - SAME_S:

@@ -18,11 +18,10 @@ from server.events import exports, queries
 from server.events.canonical import canonical, settle
 from server.events.service import differences
 from server.events.window import Part
-from server.formats.columns import Columns
 from server.jobs.events import SAME_S, Reconstructor, event_document, run_inputs
 from server.live.changes import announce
 from server.models import DeviceState, Event, EventRevision, new_id
-from server.store import BlobStore
+from server.store import BlobStore, raw_columns
 
 
 @dataclass(frozen=True)
@@ -41,7 +40,7 @@ class Again:
 
 def severe_events(database: Database, device_id: str | None) -> list[str]:
     """Ids of the events that are reconstructed, the oldest first."""
-    query = select(Event.id).where(Event.severe, Event.withdrawn_at.is_(None)).order_by(Event.at)
+    query = select(Event.id).where(Event.severe, *queries.LISTED).order_by(Event.at)
     with database.reading() as session:
         return list(session.scalars(query if device_id is None else query.where(Event.device_id == device_id)))
 
@@ -64,10 +63,7 @@ def reprocess(
     document = queries.document(revision)
     inputs = {name: value for name, value in document["inputs"].items() if name != "sha256"}
     try:
-        parts = [
-            Part(Columns.from_parquet(store.get(batch.blob_key)), batch.stream == "burst")
-            for batch in exports.used(document, batches)
-        ]
+        parts = [Part(raw_columns(store, batch), batch.stream == "burst") for batch in exports.used(document, batches)]
     except KeyError:
         return Again(event_id, event.revision, revision.algorithm, revision.algorithm, "erased")
     found = run_inputs(inputs, parts, reconstructor)

@@ -60,6 +60,9 @@ class Trips:
         rows = self._stored.trips(boot.boot)
         earliest = min(piece.t_first_s for piece in new)
         kept = [] if everything else [trip for trip in rows if trip.t_last_s + REST_S < earliest]
+        # What rests on data that are erased cannot be reckoned again: it stays, and so does what lies before it.
+        erased = max((k for k, trip in enumerate(rows, 1) if trip.raw_erased_at is not None), default=0)
+        kept = kept if len(kept) >= erased else list(rows[:erased])
         begin = kept[-1].t_last_s if kept else float("-inf")
         state = TrackState(
             second=int(begin // 1.0) if kept else None, utc_offset_s=boot.utc_offset_s, utc_drift=boot.utc_drift

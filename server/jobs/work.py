@@ -38,7 +38,7 @@ from server.jobs.stretch import Piece
 from server.jobs.trips import StoredTrips, Trips, has_rested
 from server.live.changes import announce
 from server.models import Batch, BatchDigest, Boot, Device, DeviceState, MountingRevision, TrackPoint, Trip
-from server.store import BlobStore
+from server.store import BlobStore, raw_columns
 from server.trips.track import REST_S
 
 Clock = Callable[[], dt.datetime]
@@ -111,17 +111,15 @@ def bring_up_to_date(
 def read_batch(store: BlobStore, batch: Batch) -> Read:
     """Columns and digest of a batch; a burst has no digest.  An unreachable store raises: the batch stays due."""
     try:
-        content = store.get(batch.blob_key)
-    except KeyError:
-        return Read(None, f"blob {batch.blob_key} is missing")
-    try:
-        columns = Columns.from_parquet(content)
+        columns = raw_columns(store, batch)
         if columns.column_sha256() != batch.column_sha256:
             return Read(None, "the blob's columns do not have the hash that was recorded")
         drive = to_drive(columns)
         if batch.stream != "continuous":
             return Read(None, columns=columns, clock_pair=clock_pair(drive.gnss))
         return Read(digest_drive(drive, columns.values.get("battery")), columns=columns)
+    except KeyError:
+        return Read(None, f"blob {batch.blob_key} is missing")
     except Exception as error:
         # Whatever a damaged blob raises must not stop the box.
         log.exception("batch cannot be decoded", batch_id=batch.id, device_id=batch.device_id)
@@ -131,7 +129,7 @@ def read_batch(store: BlobStore, batch: Batch) -> Read:
 def read_columns(store: BlobStore, batch: Batch) -> Read:
     """Columns alone of a batch that was worked off before; none when they are not what was hashed."""
     try:
-        columns = Columns.from_parquet(store.get(batch.blob_key))
+        columns = raw_columns(store, batch)
     except (KeyError, ProblemError):
         return Read(None, f"blob {batch.blob_key} is missing or damaged")
     if columns.column_sha256() != batch.column_sha256:

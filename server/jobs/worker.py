@@ -17,7 +17,7 @@ from server.jobs.due import burst_devices, due_devices
 from server.jobs.supervise import parent_fd
 from server.migrations import is_current
 from server.settings import Settings, set_numba_cache_dir
-from server.store import BlobStore, collect, open_store
+from server.store import COLLECT_AGE, BlobStore, collect, open_store
 
 Clock = Callable[[], dt.datetime]
 
@@ -29,7 +29,8 @@ BACKOFF_S = (1.0, 300.0)
 NICENESS = 5
 COLLECT_EVERY_S = 3600.0
 SEAL_EVERY_S = 20.0
-COLLECT_AGE = dt.timedelta(days=1)
+PRIVACY_EVERY_S = 20.0
+RETENTION_EVERY_S = 3600.0
 
 log = structlog.stdlib.get_logger("scatola.worker")
 
@@ -77,6 +78,7 @@ def run_worker(
     """Work off due devices until told to stop; the embedded mode's loop."""
     database, store = Database(settings), open_store(settings)
     keeper = start_housekeeping(database, store, stop=stop, clock=clock)
+    eraser = start_erasing(database, store, stop=stop, clock=clock)
     sealer = start_sealing(database, settings, stop=stop, clock=clock)
     rounds = Rounds(database, store, clock)
     try:
@@ -86,6 +88,7 @@ def run_worker(
     finally:
         stop.set()
         keeper.join()
+        eraser.join()
         if sealer is not None:
             sealer.join()
         database.dispose()
@@ -168,6 +171,28 @@ def start_housekeeping(
                 log.info("blobs collected", deleted=deleted)
 
     thread = threading.Thread(target=keep, name="housekeeping", daemon=True)
+    thread.start()
+    return thread
+
+
+def start_erasing(database: Database, store: BlobStore, *, stop: threading.Event, clock: Clock) -> threading.Thread:
+    """Carry out orders of erasure, and hourly what retention demands, beside the work; any number may do so at once."""
+    from server.privacy.erasure import run_open
+    from server.privacy.retention import apply_retention
+
+    def keep() -> None:
+        since_retention = 0.0
+        while not stop.wait(PRIVACY_EVERY_S):
+            since_retention += PRIVACY_EVERY_S
+            try:
+                run_open(database, store, clock=clock, stopped=stop.is_set)
+                if since_retention >= RETENTION_EVERY_S:
+                    since_retention = 0.0
+                    apply_retention(database, store, now=clock(), stopped=stop.is_set)
+            except Exception:
+                log.exception("erasure or retention failed; it goes on with the next look")
+
+    thread = threading.Thread(target=keep, name="erasing", daemon=True)
     thread.start()
     return thread
 

@@ -13,6 +13,7 @@ from starlette.concurrency import run_in_threadpool
 from starlette.responses import StreamingResponse
 
 from server.accounts.access import Reader, look
+from server.accounts.places import Sight, seen, sight_of
 from server.live.hub import LiveHub
 from server.models import Change
 
@@ -23,7 +24,6 @@ LIFE_S = 3600.0
 """A stream ends after this long; the browser comes back and is checked again."""
 
 _WHERE = ("lat_deg", "lon_deg")
-"""What a listener without the permission is not told."""
 
 Place = Annotated[int | None, Header(alias="Last-Event-ID", ge=0, le=2**63 - 1)]
 After = Annotated[int | None, Query(ge=0, le=2**63 - 1, description="as Last-Event-ID, for a page's first connection")]
@@ -39,11 +39,11 @@ async def live(request: Request, caller: Reader, last_event_id: Place = None, af
 
     A client that lost the connection comes back with Last-Event-ID and misses nothing.
     """
-    located = caller.may("location.read")
-    if located:
+    sight = sight_of(caller)
+    if sight == "exact":
         await run_in_threadpool(look, request, caller, "location.read")
     place = last_event_id if last_event_id is not None else after
-    stream = _events(hub_of(request), caller.organisation_id, place, located=located)
+    stream = _events(hub_of(request), caller.organisation_id, place, sight)
     headers = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
     return StreamingResponse(stream, media_type="text/event-stream", headers=headers)
 
@@ -56,7 +56,7 @@ def hub_of(request: Request) -> LiveHub:
     return cast("LiveHub", state.live)
 
 
-async def _events(hub: LiveHub, organisation_id: str, after: int | None, *, located: bool) -> AsyncGenerator[bytes]:
+async def _events(hub: LiveHub, organisation_id: str, after: int | None, sight: Sight) -> AsyncGenerator[bytes]:
     yield b"retry: 2000\n\n"
     deadline = asyncio.get_running_loop().time() + LIFE_S
     async with aclosing(hub.changes(organisation_id, after)) as changes:
@@ -74,14 +74,17 @@ async def _events(hub: LiveHub, organisation_id: str, after: int | None, *, loca
                 except StopAsyncIteration:
                     return
                 coming = None
-                yield _event(change, located=located)
+                yield _event(change, sight)
         finally:
             if coming is not None:
                 coming.cancel()
                 await asyncio.wait([coming])
 
 
-def _event(change: Change, *, located: bool) -> bytes:
-    told = {name: value for name, value in change.data.items() if located or name not in _WHERE}
+def _event(change: Change, sight: Sight) -> bytes:
+    told = {name: value for name, value in change.data.items() if name not in _WHERE}
+    place = seen(change.data.get("lat_deg"), change.data.get("lon_deg"), sight)
+    if place is not None:
+        told |= {"lat_deg": place.lat_deg, "lon_deg": place.lon_deg}
     data = {"at": change.at, "device_id": change.device_id, "vehicle_id": change.vehicle_id, **told}
     return b"id: %d\nevent: %b\ndata: %b\n\n" % (change.id, change.kind.encode(), orjson.dumps(data))

@@ -9,6 +9,7 @@ from server.models.device import Boot, ClaimCode, Device, DeviceRequest, DeviceS
 from server.models.event import ChainSeal, Event, EventAction, EventInput, EventRevision
 from server.models.installation import Installation, MountingRevision
 from server.models.organisation import Organisation
+from server.models.privacy import Erasure, RetentionRule
 from server.models.trip import TrackPoint, Trip
 from server.models.vehicle import Assignment, Vehicle
 
@@ -26,6 +27,7 @@ __all__ = [
     "Device",
     "DeviceRequest",
     "DeviceState",
+    "Erasure",
     "Event",
     "EventAction",
     "EventInput",
@@ -33,6 +35,7 @@ __all__ = [
     "Installation",
     "MountingRevision",
     "Organisation",
+    "RetentionRule",
     "SequenceRun",
     "SignInCode",
     "TrackPoint",

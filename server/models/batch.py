@@ -34,6 +34,20 @@ class Batch(Base):
             sqlite_where=text("processed_at IS NULL AND stream = 'burst'"),
         ),
         Index("ix_batch_device_id_received_at", "device_id", "received_at"),
+        # Retention looks at what is still kept, and goes on with what it has not finished.
+        Index(
+            "ix_batch_kept",
+            "device_id",
+            "received_at",
+            postgresql_where=text("erasing_at IS NULL"),
+            sqlite_where=text("erasing_at IS NULL"),
+        ),
+        Index(
+            "ix_batch_erasing",
+            "device_id",
+            postgresql_where=text("erasing_at IS NOT NULL AND erased_at IS NULL"),
+            sqlite_where=text("erasing_at IS NOT NULL AND erased_at IS NULL"),
+        ),
     )
 
     id: Mapped[str] = id_column()
@@ -59,6 +73,12 @@ class Batch(Base):
     remarks: Mapped[list[Any]] = mapped_column(default=list)
     processed_at: Mapped[dt.datetime | None]
     failure: Mapped[str | None] = mapped_column(String(500))
+    erasing_at: Mapped[dt.datetime | None]
+    """From when on nobody reads the raw data any more (`server.ingest.raw`); the row stays, with its hashes."""
+    erased_at: Mapped[dt.datetime | None]
+    """Set once its blobs are gone."""
+    erasure_id: Mapped[str | None] = mapped_column(String(32))
+    """The order by which it was erased; None by retention."""
 
 
 class SequenceRun(Base):

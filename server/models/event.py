@@ -48,6 +48,11 @@ class Event(Base):
     held_at: Mapped[dt.datetime | None]
     """Since when a legal hold keeps the event and its raw data from retention and erasure."""
     hold_reason: Mapped[str | None] = mapped_column(String(500))
+    raw_erased_at: Mapped[dt.datetime | None]
+    """Since when raw data that it rests on are erased: it cannot be computed again."""
+    erased_at: Mapped[dt.datetime | None]
+    """Since when it is a tombstone: results, documents and notes are gone, hashes and times stay."""
+    erasure_id: Mapped[str | None] = mapped_column(String(32))
 
 
 class EventRevision(Base):
@@ -66,7 +71,7 @@ class EventRevision(Base):
     event_sha256: Mapped[str] = mapped_column(String(64))
     """Of the canonical JSON."""
     document: Mapped[bytes] = mapped_column(LargeBinary)
-    """The canonical JSON, zstd."""
+    """The canonical JSON, zstd; empty once the event is erased."""
 
 
 class EventInput(Base):

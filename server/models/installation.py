@@ -40,6 +40,8 @@ class Installation(Base):
     unestimated_moving_s: Mapped[float] = mapped_column(default=0.0)
     evidence: Mapped[list[Any]] = mapped_column(default=list, deferred=True)
     """What older data said, a chapter each (`server.jobs.chapters`); loaded by the worker alone."""
+    raw_erased_at: Mapped[dt.datetime | None]
+    """Since when some of the data that it rests on are erased."""
 
 
 class MountingRevision(Base):

@@ -35,6 +35,9 @@ class Trip(Base):
     max_speed_mps: Mapped[float]
     algorithm: Mapped[str] = mapped_column(String(60))
     input_sha256: Mapped[str] = mapped_column(String(64))
+    raw_erased_at: Mapped[dt.datetime | None]
+    """Since when some of the data that it was reckoned from are erased."""
+    track_erased_at: Mapped[dt.datetime | None]
 
 
 class TrackPoint(Base):

@@ -41,10 +41,13 @@ PERMISSION_WORDS: dict[Permission, str] = {
     "fleet.write": marked("add, change and configure vehicles and boxes"),
     "install": marked("install boxes and set mountings by hand"),
     "location.read": marked("see where vehicles are and were"),
+    "location.coarse": marked("see where vehicles are and were to about a kilometre"),
     "raw.read": marked("see the samples themselves"),
     "events.review": marked("review events and hold them for a claim"),
     "users.manage": marked("add people and API keys"),
     "audit.read": marked("read the audit log"),
+    "privacy.manage": marked("set how long data are kept, and erase"),
+    "privacy.export": marked("export all that is held about a vehicle or a person"),
 }
 
 Text = Annotated[str, Form(max_length=500)]

@@ -10,12 +10,13 @@ import orjson
 from fastapi import APIRouter, Depends, Form, Query, Request
 from starlette.responses import HTMLResponse, RedirectResponse, Response
 
-from server.accounts.access import Caller, LocationReader, Reader, look_at_places
+from server.accounts.access import Caller, PlaceReader, Reader, look_at_places
+from server.accounts.places import Sight, seen, sight_of
 from server.accounts.preferences import View
 from server.accounts.service import keep_preferences
 from server.edge import DatabaseOf, Now, SettingsOf
 from server.pages import frame, queries
-from server.pages.fleet import PERIODS, SHOWN, Fleet, Show, Sort, Wanted, fleet, places, whole
+from server.pages.fleet import PERIODS, SHOWN, Fleet, Row, Show, Sort, Wanted, fleet, places, whole
 from server.pages.language import catalogue
 from server.pages.routes import answer, map_settings
 
@@ -78,7 +79,7 @@ def _context(found: Fleet, caller: Caller, page: str, path: str) -> dict[str, ob
 def fleet_file(request: Request, caller: Reader, database: DatabaseOf, now: Now, wanted: WantedOf) -> Response:
     """The list as a file: the same filters, every row, SI-based units in the names of its columns."""
     look_at_places(request, caller)
-    located = caller.may("location.read")
+    sight = sight_of(caller)
     with database.reading() as session:
         rows = whole(session, caller.organisation_id, wanted, now=now)
     sink = io.StringIO()
@@ -95,7 +96,7 @@ def fleet_file(request: Request, caller: Reader, database: DatabaseOf, now: Now,
         "driving_h",
         "last_seen",
     ]
-    out.writerow([*head, *(("lat_deg", "lon_deg") if located else ())])
+    out.writerow([*head, *(("lat_deg", "lon_deg") if sight != "none" else ())])
     for row in rows:
         out.writerow(
             [
@@ -109,11 +110,16 @@ def fleet_file(request: Request, caller: Reader, database: DatabaseOf, now: Now,
                 round(row.distance_m / 1000.0, 3),
                 round(row.moving_s / 3600.0, 3),
                 "" if row.last_seen_at is None else row.last_seen_at.isoformat(),
-                *((row.lat_deg, row.lon_deg) if located else ()),
+                *(() if sight == "none" else _where(row, sight)),
             ]
         )
     headers = {"Content-Disposition": f'attachment; filename="fleet-{now:%Y%m%d-%H%M}.csv"'}
     return Response(sink.getvalue(), media_type="text/csv; charset=utf-8", headers=headers)
+
+
+def _where(row: Row, sight: Sight) -> tuple[float | str, float | str]:
+    place = seen(row.lat_deg, row.lon_deg, sight)
+    return ("", "") if place is None else (place.lat_deg, place.lon_deg)
 
 
 def _cell(text: str | None) -> str:
@@ -123,9 +129,7 @@ def _cell(text: str | None) -> str:
 
 
 @router.get("/fleet/places")
-def fleet_places(
-    request: Request, caller: LocationReader, database: DatabaseOf, now: Now, wanted: WantedOf
-) -> Response:
+def fleet_places(request: Request, caller: PlaceReader, database: DatabaseOf, now: Now, wanted: WantedOf) -> Response:
     """Where the rows of the list are, for the map: id, address, name, mark, words, latitude, longitude."""
     said = catalogue(frame.language_of(request)).gettext
     with database.reading() as session:
@@ -134,7 +138,7 @@ def fleet_places(
     for row in rows:
         how = row.standing
         words = f"{said(how.headline)} {how.percent} %" if how.percent_says else said(how.headline)
-        found.append((row.device_id, row.url, row.name, row.mark, words, row.lat_deg, row.lon_deg))
+        found.append((row.device_id, row.url, row.name, row.mark, words, *_where(row, sight_of(caller))))
     return Response(orjson.dumps(found), media_type="application/json")
 
 

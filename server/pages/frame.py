@@ -29,6 +29,7 @@ SECTIONS = (
     Section("events", "/events", "impact", marked("Events")),
     Section("users", "/users", "people", marked("People"), "users.manage"),
     Section("audit", "/audit", "list", marked("Audit"), "audit.read"),
+    Section("privacy", "/privacy", "shield", marked("Privacy"), "privacy.manage"),
 )
 ON_PHONE = 3
 

@@ -10,9 +10,11 @@ from fastapi import APIRouter, Form, Query, Request
 from starlette.responses import FileResponse, HTMLResponse, RedirectResponse, Response
 
 from server.accounts.access import Caller, Installer, Reader, Reviewer, look_at_places
+from server.accounts.places import sight_of
 from server.edge import DatabaseOf, Now, SettingsOf
 from server.errors import InvalidError, NotFoundError
 from server.events import service as events
+from server.events.routes import note_hold
 from server.installations import service as installations
 from server.installations.schemas import ManualMounting
 from server.pages import events as event_queries
@@ -156,6 +158,7 @@ def review(
 
 @router.post("/events/{event_id}/hold")
 def hold(
+    request: Request,
     event_id: str,
     caller: Reviewer,
     database: DatabaseOf,
@@ -165,7 +168,10 @@ def hold(
 ) -> Response:
     """The page's form for a legal hold."""
     with database.transaction() as session:
-        events.hold(session, caller.organisation_id, event_id, held=held, reason=reason, actor=caller.name, now=now)
+        event = events.hold(
+            session, caller.organisation_id, event_id, held=held, reason=reason, actor=caller.name, now=now
+        )
+        note_hold(session, request, caller, event, now=now)
     return RedirectResponse(f"/events/{event_id}", 303)
 
 
@@ -207,5 +213,6 @@ def answer(
         "signed_in": caller.kind == "session",
         "last_change": last_change,
         "may": caller.permissions,
+        "sight": sight_of(caller),
     }
     return renderer(request.app)(template, {**shared, **context}, connection=request)

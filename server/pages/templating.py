@@ -13,6 +13,7 @@ from markupsafe import Markup
 from starlette.requests import HTTPConnection
 from starlette.responses import HTMLResponse
 
+from server.accounts.places import seen
 from server.accounts.preferences import LANGUAGES, Language
 from server.pages.frame import MEASURES, language_of, preferences_of
 from server.pages.language import catalogue, script_words
@@ -56,6 +57,7 @@ def environment(language: Language) -> Environment:
     )
     words = script_words(language)
     shared: dict[str, Any] = {
+        "seen": seen,
         "said": catalogue(language).gettext,  # texts of variables; a call of _ would format them
         "reason": partial(_reason, language),
         "script_words": orjson.dumps(words).decode() if words else "",

@@ -67,7 +67,7 @@ def pieces(
             select(Batch.blob_key, Batch.rows, Batch.t_first_s, Batch.t_last_s)
             .where(Batch.device_id == device_id, Batch.boot == boot.boot, Batch.stream == "continuous")
             .where(Batch.t_last_s >= boot.box_s(begin.timestamp()), Batch.t_first_s <= boot.box_s(end.timestamp()))
-            .where(Batch.failure.is_(None))
+            .where(Batch.failure.is_(None), Batch.erasing_at.is_(None))
             .limit(max_batches + 1)
         )
         for blob_key, count, t_first_s, t_last_s in session.execute(statement):

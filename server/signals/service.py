@@ -90,11 +90,15 @@ def signals(
     turned = frame == "v" and bool(mountings)
     read = _Reader(store, memory if is_coarse(window, points) else None, mountings if turned else (), groups)
     with ThreadPoolExecutor(READERS) as readers:
-        parts = list(readers.map(read.parts, pieces))
+        parts = [
+            (piece, part)
+            for piece, part in zip(pieces, readers.map(read.parts, pieces), strict=True)
+            if part is not None
+        ]
     curves: list[Curve] = []
     pauses: list[tuple[float, float]] = []
     for number, group in enumerate(groups):
-        joined = _joined([_shifted(part[number], piece, t0) for part, piece in zip(parts, pieces, strict=True)], group)
+        joined = _joined([_shifted(part[number], piece, t0) for piece, part in parts], group)
         curve = joined.part((joined.t >= 0.0) & (joined.t <= span))
         breaks = gaps(curve.t, at_least=GAP_S)
         pauses = pauses or breaks
@@ -115,8 +119,14 @@ class _Reader:
     """By which vectors are turned into the vehicle's axes; none to leave them in the box's."""
     groups: Sequence[tuple[str, ...]]
 
-    def parts(self, piece: Piece) -> list[Curve]:
-        """The curves of one batch, only rows that have a value."""
+    def parts(self, piece: Piece) -> list[Curve] | None:
+        """The curves of one batch, only rows that have a value; None when it was erased since it was found."""
+        try:
+            return self._parts(piece)
+        except KeyError:
+            return None
+
+    def _parts(self, piece: Piece) -> list[Curve]:
         content: dict[str, Floats] = {}
 
         def made(group: tuple[str, ...]) -> Curve:

@@ -10,6 +10,9 @@ from server.database import Database
 from server.models import Batch
 from server.store.blobs import BlobStore
 
+COLLECT_AGE = dt.timedelta(days=1)
+"""A blob is deleted this long after its last put: an upload that puts it again has long committed its row by then."""
+
 
 def collect(store: BlobStore, database: Database, older_than: dt.datetime) -> int:
     """Delete blobs last put before `older_than` (a day ago, say) that have no row; how many.
@@ -29,7 +32,8 @@ def _has_row(database: Database, key: str) -> bool:
     organisation_id, _, rest = key.partition("/")
     device_id = rest.partition("/")[0]
     # By device first: the blob columns have no index of their own, and need none for this.
-    of_device = Batch.organisation_id == organisation_id, Batch.device_id == device_id
+    # A row whose raw data are being erased holds on to nothing.
+    of_device = Batch.organisation_id == organisation_id, Batch.device_id == device_id, Batch.erasing_at.is_(None)
     with database.reading() as session:
         return bool(
             session.scalar(select(exists().where(*of_device, or_(Batch.blob_key == key, Batch.body_key == key))))

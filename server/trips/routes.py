@@ -7,7 +7,8 @@ from typing import Annotated
 
 from fastapi import APIRouter, Query
 
-from server.accounts.access import LocationReader, Reader
+from server.accounts.access import PlaceReader, Reader
+from server.accounts.places import sight_of
 from server.edge import DatabaseOf, Moment
 from server.errors import InvalidError
 from server.trips import queries
@@ -54,11 +55,11 @@ def read(trip_id: str, caller: Reader, database: DatabaseOf) -> TripOut:
 
 
 @router.get("/{trip_id}/track")
-def read_track(trip_id: str, caller: LocationReader, database: DatabaseOf) -> TrackOut:
-    """The 1 Hz track as GeoJSON; standing time has its first point only."""
+def read_track(trip_id: str, caller: PlaceReader, database: DatabaseOf) -> TrackOut:
+    """The 1 Hz track as GeoJSON, of standing time the first point only; cells of a kilometre without location.read."""
     with database.reading() as session:
         trip = queries.trip_of(session, caller.organisation_id, trip_id)
-        return track_out(trip.id, queries.track(session, trip.id))
+        return track_out(trip.id, queries.track(session, trip.id), sight_of(caller))
 
 
 def _place(before: str) -> tuple[dt.datetime, str]:

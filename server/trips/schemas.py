@@ -7,6 +7,7 @@ from typing import Literal
 
 from pydantic import BaseModel, Field
 
+from server.accounts.places import Place, Sight, seen
 from server.models import TrackPoint, Trip
 
 
@@ -25,6 +26,8 @@ class TripOut(BaseModel):
     max_speed_kmh: float
     algorithm: str
     input_sha256: str
+    raw_erased_at: dt.datetime | None = Field(description="since when data that it was reckoned from are erased")
+    track_erased_at: dt.datetime | None
 
 
 class TripPage(BaseModel):
@@ -70,11 +73,19 @@ def trip_out(trip: Trip) -> TripOut:
         max_speed_kmh=3.6 * trip.max_speed_mps,
         algorithm=trip.algorithm,
         input_sha256=trip.input_sha256,
+        raw_erased_at=trip.raw_erased_at,
+        track_erased_at=trip.track_erased_at,
     )
 
 
-def track_out(trip_id: str, points: Sequence[TrackPoint]) -> TrackOut:
-    """A track as GeoJSON; a line needs two points."""
+def track_out(trip_id: str, points: Sequence[TrackPoint], sight: Sight) -> TrackOut:
+    """A track as GeoJSON; a line needs two points.
+
+    Seen coarsely, a stay in a cell is one point with the minute of its beginning, and no speed, course or height: speed
+    and course of every second would draw the way again.
+    """
+    if sight != "exact":
+        return _coarse(trip_id, points, sight)
     coordinates = [[round(point.lon_deg, 7), round(point.lat_deg, 7)] for point in points]
     return TrackOut(
         geometry=LineString(coordinates=coordinates) if len(coordinates) >= 2 else None,
@@ -86,3 +97,16 @@ def track_out(trip_id: str, points: Sequence[TrackPoint]) -> TrackOut:
             alt_m=[point.alt_m for point in points],
         ),
     )
+
+
+def _coarse(trip_id: str, points: Sequence[TrackPoint], sight: Sight) -> TrackOut:
+    cells: list[tuple[Place, dt.datetime]] = []
+    for point in points:
+        place = seen(point.lat_deg, point.lon_deg, sight)
+        if place is not None and (not cells or cells[-1][0] != place):
+            cells.append((place, point.at.replace(second=0, microsecond=0)))
+    line = LineString(coordinates=[[place.lon_deg, place.lat_deg] for place, _ in cells])
+    nothing: list[float | None] = [None] * len(cells)
+    at = [at for _, at in cells]
+    told = TrackProperties(trip_id=trip_id, at=at, speed_mps=nothing, course_deg=nothing, alt_m=nothing)
+    return TrackOut(geometry=line if len(cells) >= 2 else None, properties=told)

@@ -36,11 +36,13 @@ from server.models import (
     Device,
     DeviceRequest,
     DeviceState,
+    Erasure,
     Event,
     EventAction,
     Installation,
     MountingRevision,
     Organisation,
+    RetentionRule,
     SequenceRun,
     SignInCode,
     TrackPoint,
@@ -65,6 +67,7 @@ def fill(session: Session, store: BlobStore, name: str) -> dict[str, str]:
         kind: f"{name}{number}" * 16
         for number, kind in enumerate(("vehicle", "device", "trip", "user", "key", "request", "event"), 1)
     }
+    ids["erasure"] = f"{name}e" * 16
     rest = {kind: f"{name}{number}" * 16 for number, kind in enumerate(("batch", "installation"), 8)}
     org = organisation.id
     columns = Columns({"t": np.array([0.0, 1.0]), **dict.fromkeys(("fx", "fy", "fz"), np.zeros(2))})
@@ -169,6 +172,18 @@ def fill(session: Session, store: BlobStore, name: str) -> dict[str, str]:
                 result=blank_result() | {"reasons": [f"of {name}"]},
                 algorithm="x",
                 input_sha256="",
+            ),
+            RetentionRule(
+                organisation_id=org, data_class="raw", days=90, applies_at=AT, updated_at=AT, updated_by=f"of {name}"
+            ),
+            Erasure(
+                id=ids["erasure"],
+                organisation_id=org,
+                subject_kind="vehicle",
+                subject_id=ids["vehicle"],
+                reason=f"of {name}",
+                requested_at=AT,
+                requested_by=name,
             ),
             SequenceRun(device_id=ids["device"], stream="continuous", boot="b", first=0, last=0),
             SignInCode(code_hash=name * 62 + "si", organisation_id=org, created_at=AT, expires_at=AT),
@@ -345,6 +360,8 @@ BODIES = {
     "POST /users/{user_id}/role": {"role": "reader"},
     "PUT /api/v1/events/{event_id}/review": {"verdict": "confirmed"},
     "PUT /api/v1/events/{event_id}/hold": {"held": True, "reason": "taken over"},
+    "POST /api/v1/vehicles/{vehicle_id}/erasure": {"reason": "taken over"},
+    "POST /api/v1/users/{user_id}/erasure": {"reason": "taken over"},
     "POST /events/{event_id}/review": {"verdict": "confirmed"},
     "POST /devices/{device_id}/installation": {
         "theta": "0",
@@ -409,6 +426,10 @@ def test_an_administrator_reaches_nothing_of_another_organisation(app, client, t
         ("PUT", f"/api/v1/devices/{mine['device']}/vehicle", {"vehicle_id": theirs["vehicle"]}),
     ):
         assert client.request(method, path, json=body).status_code == 422, path
+    for subject in (f"vehicle:{theirs['vehicle']}", f"user:{theirs['user']}"):
+        for act in ("plan", "erase"):
+            form = {"subject": subject, "reason": "taken over", "act": act}
+            assert client.post("/privacy/erasure", data=form).status_code == 404, subject
     assert everything(tenants.database, own_organisation) == before
 
 
@@ -438,6 +459,11 @@ def test_each_role_does_what_it_may_and_no_more(app, serve, tenants, clock):
                 ("POST", "/api/v1/vehicles"),
                 ("POST", "/api/v1/users"),
                 ("POST", "/api/v1/organisations"),
+                ("PUT", "/api/v1/retention"),
+                ("POST", "/api/v1/vehicles/{vehicle_id}/erasure"),
+                ("POST", "/api/v1/users/{user_id}/erasure"),
+                ("POST", "/privacy/retention"),
+                ("POST", "/privacy/erasure"),
                 ("PUT", "/api/v1/events/{event_id}/review"),
                 ("PUT", "/api/v1/events/{event_id}/hold"),
                 ("POST", "/api/v1/events/{event_id}/view-ticket"),
@@ -467,22 +493,52 @@ def test_the_permissions_of_a_route_can_be_read_off():
     assert needs("raw.read").__closure__ is not None
 
 
-def test_who_may_not_locate_sees_no_place(app, serve, tenants, clock):
+def test_who_may_not_locate_sees_places_to_a_kilometre(app, serve, tenants, clock):
     from server.accounts.service import open_session
 
     with tenants.database.transaction() as session:
         session.execute(sa.update(User).where(User.id == tenants.mine["user"]).values(role="reader"))
+        session.execute(sa.update(DeviceState).values(lat_deg=45.4064, lon_deg=11.8768))
         opened = open_session(session, tenants.mine["organisation"], now=clock(), user_id=tenants.mine["user"])
     with httpx.Client(base_url=serve(app), cookies={"scatola_session": opened.token}) as browser:
         for path in ("/", f"/vehicles/{tenants.mine['vehicle']}", f"/devices/{tenants.mine['device']}"):
             page = browser.get(path)
             assert page.status_code == 200
-            for word in ("data-lat", "<track-map", "<signal-chart"):
+            assert ('data-lat="45.405"' in page.text) == (path != "/"), path
+            for word in ("45.4064", "11.8768", "<signal-chart"):
                 assert word not in page.text, (path, word)
+        for path in ("/fleet/places", "/fleet.csv"):
+            told = browser.get(path).text
+            assert "45.405" in told, path
+            assert "45.4064" not in told, path
         assert "/users" not in browser.get("/").text
 
 
-def test_who_may_not_locate_is_told_of_an_event_without_its_place(app, serve, tenants, clock):
+@pytest.mark.parametrize("scopes", [["fleet.read"], ["fleet.read", "location.coarse"], ["fleet.read", "location.read"]])
+def test_a_key_sees_places_as_well_as_its_scopes_say(admin, address, tenants, scopes):
+    with tenants.database.transaction() as session:
+        session.add(TrackPoint(trip_id=tenants.mine["trip"], t_s=1.0, at=AT, lat_deg=45.1234, lon_deg=11.5678))
+    key = admin.post("/api/v1/api-keys", json={"name": "k", "scopes": scopes}).json()["key"]
+    with httpx.Client(base_url=address, headers={"Authorization": f"Bearer {key}"}) as program:
+        answer = program.get(f"/api/v1/trips/{tenants.mine['trip']}/track")
+        (event,) = program.get("/api/v1/events").json()["items"]
+        page, places = program.get("/"), program.get("/fleet/places")
+    assert "/privacy" not in page.text
+    assert ("<fleet-map" in page.text) == (places.status_code == 200) == (len(scopes) == 2)
+    if len(scopes) == 1:
+        assert answer.status_code == 403
+        assert event["rest"]["lat"] is None
+        return
+    line = answer.json()["geometry"]["coordinates"]
+    exact = "location.read" in scopes
+    assert (line == [[11.0, 45.0], [11.5678, 45.1234]]) == exact
+    assert (abs(event["rest"]["lat"] - 41.9030) < 1e-6) == exact
+    if not exact:
+        assert line[1][1] == 45.125
+        assert abs(event["rest"]["lat"] - 41.9030) < 0.0051
+
+
+def test_who_may_not_locate_is_told_of_an_event_with_a_coarse_place(app, serve, tenants, clock):
     from server.accounts.service import open_session
 
     url = f"/events/{tenants.mine['event']}"
@@ -498,7 +554,9 @@ def test_who_may_not_locate_is_told_of_an_event_without_its_place(app, serve, te
         assert page.status_code == 200
         for told in (listed, one):
             places = [told["rest"][name] for name in ("lat", "lon")]
-            assert (places == [None, None]) == (role == "reader")
+            exact = places == pytest.approx([41.9030, 12.4969], abs=1e-6)
+            assert exact == (role == "claims")
+            assert places == pytest.approx([41.9030, 12.4969], abs=0.01)
             assert told["rest"]["distance_m"] == pytest.approx(11.2)
         for words in (
             "<event-map",
