@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import datetime as dt
 from typing import Annotated
 
 from fastapi import APIRouter, Query
 
 from server.accounts.access import LocationReader, Reader
-from server.edge import DatabaseOf, Moment
-from server.errors import InvalidError
+from server.edge import DatabaseOf, Moment, place_of
 from server.trips import queries
 from server.trips.schemas import TrackOut, TripOut, TripPage, track_out, trip_out
 
@@ -36,7 +34,7 @@ def list_trips(
             vehicle_id=vehicle,
             since=since,
             until=until,
-            before=None if before is None else _place(before),
+            before=None if before is None else place_of(before),
             limit=limit + 1,
         )
         last = rows[limit - 1] if len(rows) > limit else None
@@ -59,11 +57,3 @@ def read_track(trip_id: str, caller: LocationReader, database: DatabaseOf) -> Tr
     with database.reading() as session:
         trip = queries.trip_of(session, caller.organisation_id, trip_id)
         return track_out(trip.id, queries.track(session, trip.id))
-
-
-def _place(before: str) -> tuple[dt.datetime, str]:
-    moment, _, trip_id = before.partition("~")
-    try:
-        return dt.datetime.fromisoformat(moment).astimezone(dt.UTC), trip_id
-    except (ValueError, OverflowError):  # the last: a day before the first or after the last of the calendar
-        raise InvalidError("`before` is not what a page gave as `next`", code="before") from None

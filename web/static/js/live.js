@@ -7,7 +7,7 @@ import { t } from "./words.js";
 
 /** @typedef {{at: string, device_id: string | null, vehicle_id: string | null}} Change */
 
-const KINDS = ["batch", "installation", "trip", "position", "moved", "device", "vehicle", "event"];
+const KINDS = ["batch", "installation", "trip", "position", "moved", "device", "vehicle", "event", "alert"];
 /** Changes come in crowds; a second's worth of them is one fetch, and a page that takes long to make waits longer. */
 const SETTLE_MS = 1000;
 const REST_PER_WORK = 8;
@@ -43,7 +43,7 @@ function connect() {
       /** @type {Change} */
       const change = JSON.parse(event.data);
       document.dispatchEvent(new CustomEvent("scatola:change", { detail: { kind, ...change } }));
-      if (concerns(change)) refreshSoon(kind === "event" ? URGENT_MS : SETTLE_MS);
+      if (concerns(change)) refreshSoon(kind === "event" || kind === "alert" ? URGENT_MS : SETTLE_MS);
     });
   }
   addEventListener("pagehide", () => source.close());
