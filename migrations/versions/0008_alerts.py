@@ -1,7 +1,7 @@
 """Alerts with rules, channels and their outbox; theft watches, accident claims, diagnosis values.
 
 Revision ID: 0008
-Revises: 0005
+Revises: 0010
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from alembic import op
 from sqlalchemy.dialects.postgresql import JSONB
 
 revision: str = "0008"
-down_revision: str | None = "0005"
+down_revision: str | None = "0010"
 branch_labels: str | None = None
 depends_on: str | None = None
 
