@@ -103,7 +103,7 @@ def test_an_alert_appears_by_itself_and_is_acknowledged(alerted, open_page, scre
     facts = {"why": "moves without ignition", "position": {"lat_deg": 45.4064, "lon_deg": 11.8768}}
     raise_one(alerted, "Fiat Panda", None, "theft", "alarm", facts, dt.datetime.now(dt.UTC))
     expect(rows).to_have_count(4)
-    expect(rows.first).to_contain_text("The vehicle moves without ignition, at 45.40640, 11.87680")
+    expect(rows.first).to_contain_text("The vehicle moves without ignition · 45.40640 11.87680")
     screenshot(page, "alerts-1280")
     rows.first.get_by_role("button", name="Acknowledge").click()
     expect(page.locator("#alerts tbody tr")).to_have_count(3)
