@@ -18,9 +18,12 @@ from server.accounts import user_routes as users
 from server.accounts.audit import RecentLooks
 from server.accounts.gate import AccessGate
 from server.accounts.service import ensure_organisation
+from server.alerts import routes as alerts
+from server.contradictions import routes as contradictions
 from server.database import Database
 from server.devices import box_routes as boxes
 from server.devices import routes as devices
+from server.diagnosis import routes as diagnosis
 from server.edge import Clock
 from server.events import routes as events
 from server.evidence import routes as evidence
@@ -31,6 +34,7 @@ from server.limits import BodyLimit, TokenBuckets
 from server.live import routes as live
 from server.migrations import is_current
 from server.pages import accounts as account_pages
+from server.pages import alerts as alert_pages
 from server.pages import fleet_routes, templating
 from server.pages import privacy as privacy_pages
 from server.pages import routes as pages
@@ -40,6 +44,7 @@ from server.resources import folder
 from server.settings import Settings
 from server.signals import routes as signals
 from server.signals.thin import Memory
+from server.statistics import routes as statistics
 from server.store import open_store
 from server.telemetry import RequestTelemetry, Telemetry, log
 from server.trips import routes as trips
@@ -122,6 +127,10 @@ def create_app(settings: Settings, *, clock: Clock = utc_now) -> FastAPI:
         reports,
         evidence,
         privacy,
+        alerts,
+        diagnosis,
+        statistics,
+        contradictions,
         live,
         signals,
         tickets,
@@ -131,6 +140,7 @@ def create_app(settings: Settings, *, clock: Clock = utc_now) -> FastAPI:
         fleet_routes,
         account_pages,
         privacy_pages,
+        alert_pages,
     ):
         app.include_router(part.router, responses=problems.described(401, 403, 404, 422))
     app.mount("/static/vendor", StaticFiles(directory=folder("web") / "vendor", check_dir=False))

@@ -7,11 +7,12 @@ from collections.abc import Callable
 from typing import Annotated, cast
 
 from fastapi import Depends
-from pydantic import AfterValidator, AwareDatetime
 from starlette.requests import HTTPConnection
 
 from server.accounts.caller import Caller
 from server.database import Database
+from server.errors import InvalidError
+from server.moments import Moment as Moment  # noqa: PLC0414  routes take it from here
 from server.settings import Settings
 from server.store import BlobStore
 
@@ -46,14 +47,13 @@ DatabaseOf = Annotated[Database, Depends(_database)]
 StoreOf = Annotated[BlobStore, Depends(_store)]
 
 
-def _utc(moment: dt.datetime) -> dt.datetime:
-    try:
-        return moment.astimezone(dt.UTC)
-    except OverflowError:
-        raise ValueError("in UTC this is before the first or after the last day of the calendar") from None
-
-
-Moment = Annotated[AwareDatetime, AfterValidator(_utc)]
-"""A time in a query, with its zone."""
-
 Now = Annotated[dt.datetime, Depends(_now)]
+
+
+def place_of(before: str) -> tuple[dt.datetime, str]:
+    """Where a page of a list begins, from what the page before gave as `next`: a moment and an id."""
+    moment, _, row_id = before.partition("~")
+    try:
+        return dt.datetime.fromisoformat(moment).astimezone(dt.UTC), row_id
+    except (ValueError, OverflowError):  # the last: a day before the first or after the last of the calendar
+        raise InvalidError("`before` is not what a page gave as `next`", code="before") from None

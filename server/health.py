@@ -13,6 +13,7 @@ from prometheus_client.exposition import CONTENT_TYPE_LATEST
 from sqlalchemy.exc import SQLAlchemyError
 from starlette.responses import HTMLResponse, JSONResponse, Response
 
+from server.alerts.queries import deliveries_in
 from server.database import Database
 from server.edge import DatabaseOf, Now, StoreOf
 from server.ingest import queries
@@ -88,10 +89,13 @@ def backlog_figures(app: FastAPI) -> dict[str, tuple[str, float]]:
     now = cast("dt.datetime", app.state.clock())
     with database.reading() as session:
         due = queries.backlog(session)
+        waiting, dead = (deliveries_in(session, state) for state in ("waiting", "dead"))
     oldest_s = 0.0 if due.oldest_at is None else max(0.0, (now - due.oldest_at).total_seconds())
     return {
         "scatola_due_batches": ("Batches not worked off yet", float(due.batches)),
         "scatola_due_devices": ("Devices with such batches", float(due.devices)),
+        "scatola_alert_deliveries_waiting": ("Alert messages that are owed", float(waiting)),
+        "scatola_alert_deliveries_dead": ("Alert messages that were given up", float(dead)),
         "scatola_due_oldest_seconds": ("Age of the oldest of them", oldest_s),
     }
 

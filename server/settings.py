@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from ipaddress import ip_network
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -38,6 +39,16 @@ class Settings(BaseSettings):
     signing_key_file: Path | None = None
     timestamp_url: str | None = None
     timestamp_root_file: Path | None = None
+    smtp_host: str | None = None
+    smtp_port: int = Field(default=587, ge=1, le=65535)
+    smtp_security: Literal["starttls", "tls", "none"] = "starttls"
+    smtp_user: str | None = None
+    smtp_password: SecretStr | None = None
+    smtp_sender: str = "scatola@localhost"
+    public_url: str | None = None
+    webhook_networks: Annotated[tuple[str, ...], NoDecode] = ()
+    alert_ca_file: Path | None = None
+    alert_attempts: int = Field(default=10, ge=1, le=50)
     max_body_bytes: int = Field(default=16 * 1024 * 1024, gt=0)
     max_decoded_bytes: int = Field(default=64 * 1024 * 1024, gt=0)
     device_requests_per_minute: int = Field(default=600, gt=0)
@@ -45,11 +56,18 @@ class Settings(BaseSettings):
     log_json: bool = False
     log_level: Literal["debug", "info", "warning", "error"] = "info"
 
-    @field_validator("trusted_origins", mode="before")
+    @field_validator("trusted_origins", "webhook_networks", mode="before")
     @classmethod
     def _split(cls, value: object) -> object:
         if isinstance(value, str):
             return tuple(part.strip() for part in value.split(",") if part.strip())
+        return value
+
+    @field_validator("webhook_networks")
+    @classmethod
+    def _are_networks(cls, value: tuple[str, ...]) -> tuple[str, ...]:
+        for network in value:
+            ip_network(network)  # its ValueError names what is wrong
         return value
 
     @property

@@ -31,7 +31,7 @@ from server.view3d import permission
 
 _OPEN = frozenset({"/healthz", "/readyz", "/metrics", "/openapi.json", "/docs"})
 _SIGN_IN = ("/login", "/api/v1/auth")
-_DEVICE_PATHS = frozenset({"/api/v1/batches", "/api/v1/device", "/api/v1/device/token"})
+_DEVICE_PATHS = frozenset({"/api/v1/batches", "/api/v1/device", "/api/v1/device/token", "/api/v1/device/diagnosis"})
 _CLAIM = ("/api/v1/claim",)
 _VIEW = re.compile(r"/view3d/(?P<ticket>[A-Za-z0-9_-]{16,})/(?P<device>[0-9a-f]{32})(?:/.*)?")
 _SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})

@@ -15,17 +15,21 @@ from server.devices.schemas import (
     ConfigurationTold,
     DeviceSettings,
     DeviceToken,
+    LiveTold,
     Told,
     WindowIn,
     WindowTold,
 )
 from server.errors import ConflictError, InvalidError, NotFoundError, TooManyRequestsError, UnauthenticatedError
 from server.live.changes import announce
-from server.models import ClaimCode, Device, DeviceRequest, new_id
+from server.models import ClaimCode, Device, DeviceRequest, TheftWatch, new_id
 
 TOKEN_PREFIX = "scd_"  # noqa: S105  lets scanners find a token that leaked
 CODE_LIFE = dt.timedelta(days=90)
 REQUEST_LIFE = dt.timedelta(days=7)
+LIVE_PERIOD_S = 5.0
+LIVE_FOR = dt.timedelta(hours=24)
+"""A stolen vehicle's box reports often for so long, then saves its battery."""
 MAX_OPEN_REQUESTS = 20
 # Crockford's: no letter that reads like a digit or like another letter.
 _ALPHABET = "0123456789ABCDEFGHJKMNPQRSTVWXYZ"
@@ -159,13 +163,17 @@ def open_requests(session: Session, device_id: str, *, now: dt.datetime) -> list
 
 
 def told(session: Session, device_id: str, configuration_seen: int | None, *, now: dt.datetime) -> list[Told]:
-    """What goes into an answer to a box: its configuration where it has another one, and open requests."""
-    version, configuration = session.execute(
-        select(Device.configuration_version, Device.configuration).where(Device.id == device_id)
+    """What goes into an answer to a box: another configuration, open requests, whether to report often."""
+    version, configuration, alarm_at = session.execute(
+        select(Device.configuration_version, Device.configuration, TheftWatch.alarm_at)
+        .outerjoin(TheftWatch, TheftWatch.vehicle_id == Device.vehicle_id)
+        .where(Device.id == device_id)
     ).one()
     items: list[Told] = []
     if version > 0 and configuration_seen != version:
         items.append(ConfigurationTold(version=version, values=configuration or {}))
+    if alarm_at is not None and now < alarm_at + LIVE_FOR:
+        items.append(LiveTold(period_s=LIVE_PERIOD_S, until=alarm_at + LIVE_FOR))
     items += [
         WindowTold(id=row.id, boot=row.boot, t_first_s=row.t_first_s, t_last_s=row.t_last_s)
         for row in open_requests(session, device_id, now=now)

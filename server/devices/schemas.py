@@ -143,7 +143,15 @@ class ConfigurationTold(BaseModel):
     values: dict[str, Any]
 
 
-Told = WindowTold | ConfigurationTold
+class LiveTold(BaseModel):
+    """The vehicle moves as it should not: send a batch with fixes often, until then or until this is no longer told."""
+
+    kind: Literal["live"] = "live"
+    period_s: float
+    until: dt.datetime
+
+
+Told = WindowTold | ConfigurationTold | LiveTold
 
 
 class BoxOut(BaseModel):

@@ -29,6 +29,7 @@ _MAX_BYTES = 2 * 1024 * 1024  # the checksum is computed byte by byte
 
 _IGNITION, _GNSS_STATUS, _SUPPLY_MV, _BATTERY_MV, _HDOP, _CRASH_TRACE = 239, 69, 66, 67, 182, 257
 _AXES = (17, 18, 19)
+_IN_COLUMNS = frozenset({_IGNITION, _GNSS_STATUS, _SUPPLY_MV, _HDOP, _CRASH_TRACE, *_AXES})
 _GNSS_FIXED = 1
 _MILLI_G = 9.80665e-3
 _PERIODS_S = (0.001, 0.002, 0.0025, 0.005, 0.01, 0.02, 0.04, 0.1)
@@ -158,7 +159,19 @@ def _columns(records: list[_Record]) -> Columns:
             )
     rows.sort(key=lambda row: row["t"])
     names = {name for row in rows for name in row}
-    return Columns({name: np.array([row.get(name, np.nan) for row in rows]) for name in names}, tuple(remarks))
+    columns = {name: np.array([row.get(name, np.nan) for row in rows]) for name in names}
+    return Columns(columns, tuple(remarks), _named(records))
+
+
+def _named(records: list[_Record]) -> dict[str, tuple[Floats, Floats]]:
+    """Inputs that the drive file has no column for, by the vendor's number: ``avl.113`` and so on, as sent."""
+    found: dict[str, list[tuple[float, int]]] = {}
+    for record in records:
+        for name, value in record.numbers.items():
+            if name not in _IN_COLUMNS:
+                found.setdefault(f"avl.{name}", []).append((record.t, value))
+    columns = {name: np.array(pairs, dtype=np.float64) for name, pairs in found.items()}
+    return {name: (pairs[:, 0], pairs[:, 1]) for name, pairs in columns.items()}
 
 
 def _row(record: _Record) -> dict[str, float]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,6 +52,9 @@ class Columns:
         Names and units of the drive file; `t` must be there.
     remarks : tuple of Remark
         What the reader of a foreign format had to assume or leave out; no part of the hash.
+    named : mapping of str to (ndarray, ndarray)
+        Times (as `t`) and values of what a foreign format tells of the vehicle and the drive file has no column for,
+        kept as diagnosis values; no part of the hash and of the stored form.
 
     Raises
     ------
@@ -61,6 +64,7 @@ class Columns:
 
     values: dict[str, Floats]
     remarks: tuple[Remark, ...] = ()
+    named: Mapping[str, tuple[Floats, Floats]] = field(default_factory=dict[str, tuple[Floats, Floats]])
 
     def __post_init__(self) -> None:
         check_names(self.values)

@@ -13,6 +13,7 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from server.devices.provisioning import answered, count_bytes
+from server.diagnosis.service import Reading, keep, per_minute
 from server.errors import ConflictError, InvalidError, UnauthenticatedError
 from server.formats.columns import Columns
 from server.ingest.chain import link
@@ -173,6 +174,8 @@ def accept(session: Session, device_id: str, upload: Upload, *, now: dt.datetime
     count_bytes(device, upload.sent_bytes, now=now)
     answered(session, device.id, upload.notes.answers, batch.id, now=now)
     _extend_runs(session, device_id, upload.key)
+    if upload.columns.named:
+        keep(session, device_id, _named(upload.columns, now), now=now)
     device.chain_length += 1
     device.chain_head = chain
     announce(
@@ -185,6 +188,18 @@ def accept(session: Session, device_id: str, upload: Upload, *, now: dt.datetime
         data={"stream": batch.stream, "rows": batch.rows},
     )
     return batch, False
+
+
+def _named(columns: Columns, now: dt.datetime) -> list[Reading]:
+    """Diagnosis values that came with the batch, at the time of its fixes, or else of its arrival."""
+    t, utc = columns.values["t"], columns.values.get("utc", np.full(1, np.nan))
+    offsets = (utc - t)[np.isfinite(utc)] if utc.size == t.size else np.empty(0)
+    offset_s = float(np.median(offsets)) if offsets.size else now.timestamp() - float(t.max())
+    return [
+        reading
+        for name, (times, values) in columns.named.items()
+        for reading in per_minute(name, offset_s + times, values)
+    ]
 
 
 def _extend_runs(session: Session, device_id: str, key: BatchKey) -> None:

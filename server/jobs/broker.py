@@ -111,7 +111,13 @@ def run_consumer(
 ) -> None:
     """Work off what the queue brings, and send again what stays due, until told to stop."""
     from server.jobs.work import bring_up_to_date
-    from server.jobs.worker import start_erasing, start_housekeeping, start_sealing
+    from server.jobs.worker import (
+        STOP_TELLING_S,
+        start_erasing,
+        start_housekeeping,
+        start_sealing,
+        start_telling,
+    )
 
     assert settings.broker_url is not None
     database, store = Database(settings), open_store(settings)
@@ -130,6 +136,7 @@ def run_consumer(
     keeper = start_housekeeping(database, store, stop=stop, clock=clock)
     eraser = start_erasing(database, store, stop=stop, clock=clock)
     sealer = start_sealing(database, settings, stop=stop, clock=clock)
+    tellers = start_telling(database, settings, stop=stop, clock=clock)
     sweep = Sweep(database, broker, queue, clock)
     try:
         while not stop.wait(SWEEP_S):
@@ -138,6 +145,8 @@ def run_consumer(
         stop.set()
         worker.stop(timeout=STOP_MS)
         broker.close()
+        for teller in tellers:
+            teller.join(STOP_TELLING_S)
         keeper.join()
         eraser.join()
         if sealer is not None:

@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
-from server.models import BatchDigest, Installation, MountingRevision, Trip
+from server.diagnosis.service import Reading
+from server.models import AlertDelivery, BatchDigest, Installation, MountingRevision, Trip
 from server.models.base import Base
 
 
@@ -26,6 +27,10 @@ class Results:
     """New rows, and rows that were read and changed since."""
     digests: list[BatchDigest] = field(default_factory=list[BatchDigest])
     revisions: list[MountingRevision] = field(default_factory=list[MountingRevision])
+    deliveries: list[AlertDelivery] = field(default_factory=list[AlertDelivery])
+    """Messages that are owed for the alerts among `rows`."""
+    readings: list[Reading] = field(default_factory=list[Reading])
+    """What the batches say of the vehicle beside the streams."""
     points: list[dict[str, Any]] = field(default_factory=list[dict[str, Any]])
     """Columns of track points: too many for an object each."""
     replaced_trips: list[str] = field(default_factory=list[str])

@@ -24,10 +24,12 @@ from nav_core.crash import reconstruct_drive
 from nav_core.mounting.trips import told_of
 from nav_core.typing import Floats
 from server.database import Database
+from server.diagnosis.service import keep, of_columns
 from server.errors import ProblemError
 from server.formats.columns import Columns
 from server.formats.drive import to_drive
 from server.jobs import situation as reads
+from server.jobs.alerts import Alerts
 from server.jobs.boots import Boots
 from server.jobs.digest import Digest, clock_pair, digest_drive, encode
 from server.jobs.events import Events, Reconstructor
@@ -185,6 +187,7 @@ class Round:
         self._trips(pieces)
         mountings = self._mountings(pieces)
         self._events(known, mountings)
+        self._alerts(pieces, known)
         self._plan_review(mountings.pending)
         return Outcome(len(situation.batches), failed, results.estimates, situation.more)
 
@@ -285,6 +288,18 @@ class Round:
         events.take_in(batches)
         events.revise_unmounted(mountings.recorded)
 
+    def _alerts(self, pieces: list[Piece], known: dict[str, Read]) -> None:
+        """What the results mean for the organisation's rules, and what the batches say of the vehicle."""
+        columns: dict[tuple[str, int], Columns] = {}
+        for batch in self._situation.batches:
+            found = known[batch.id].columns
+            if found is None or batch.stream != "continuous":
+                continue
+            columns[batch.boot, batch.sequence] = found
+            boot = self._situation.boots[batch.boot]
+            self._results.readings += of_columns(found.values, boot.utc_offset_s, 1.0 + boot.utc_drift)
+        Alerts(self._database, self._situation, self._results, self._state, now=self._now).look(pieces, columns)
+
     def _plan_review(self, pending: bool) -> None:
         under_way = any(
             boot.trip_state.get("trip") and not boot.trip_state["given_up"] for boot in self._situation.boots.values()
@@ -375,7 +390,8 @@ class Round:
             session.execute(delete(Trip).where(Trip.id.in_(results.replaced_trips)))
         session.add_all([*results.rows, *results.digests])
         session.flush()
-        session.add_all(results.revisions)
+        session.add_all([*results.revisions, *results.deliveries])
+        keep(session, state.device_id, results.readings, now=self._now)
         if results.points:
             session.execute(insert(TrackPoint), results.points)
         for announcement in results.announcements:

@@ -31,6 +31,8 @@ COLLECT_EVERY_S = 3600.0
 SEAL_EVERY_S = 20.0
 PRIVACY_EVERY_S = 20.0
 RETENTION_EVERY_S = 3600.0
+STOP_TELLING_S = 1.0
+"""A message that is under way when the worker stops is sent again when its lease runs out."""
 
 log = structlog.stdlib.get_logger("scatola.worker")
 
@@ -80,6 +82,7 @@ def run_worker(
     keeper = start_housekeeping(database, store, stop=stop, clock=clock)
     eraser = start_erasing(database, store, stop=stop, clock=clock)
     sealer = start_sealing(database, settings, stop=stop, clock=clock)
+    tellers = start_telling(database, settings, stop=stop, clock=clock)
     rounds = Rounds(database, store, clock)
     try:
         while not stop.is_set():
@@ -87,6 +90,8 @@ def run_worker(
                 _wait(stop, wake_fd)
     finally:
         stop.set()
+        for teller in tellers:
+            teller.join(STOP_TELLING_S)
         keeper.join()
         eraser.join()
         if sealer is not None:
@@ -216,6 +221,15 @@ def start_sealing(
     thread = threading.Thread(target=keep, name="sealing", daemon=True)
     thread.start()
     return thread
+
+
+def start_telling(
+    database: Database, settings: Settings, *, stop: threading.Event, clock: Clock
+) -> list[threading.Thread]:
+    """Send alerts, and look for what only the clock tells, beside the work."""
+    from server.alerts import delivery, sweep
+
+    return [*delivery.start(database, settings, stop=stop, clock=clock), sweep.start(database, stop=stop, clock=clock)]
 
 
 def _wait(stop: threading.Event, wake_fd: int | None) -> None:

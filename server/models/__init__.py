@@ -2,10 +2,20 @@
 
 from server.models.access import SignInCode, ViewTicket, WebSession
 from server.models.account import ApiKey, AuditEntry, User
+from server.models.alert import (
+    AccidentClaim,
+    Alert,
+    AlertChannel,
+    AlertDelivery,
+    AlertRule,
+    DeliveryAttempt,
+    GeofencePresence,
+    TheftWatch,
+)
 from server.models.base import Base, new_id
 from server.models.batch import Batch, BatchDigest, SequenceRun
 from server.models.change import Change
-from server.models.device import Boot, ClaimCode, Device, DeviceRequest, DeviceState
+from server.models.device import Boot, ClaimCode, Device, DeviceRequest, DeviceState, Diagnosis
 from server.models.event import ChainSeal, Event, EventAction, EventInput, EventRevision
 from server.models.installation import Installation, MountingRevision
 from server.models.organisation import Organisation
@@ -14,6 +24,11 @@ from server.models.trip import TrackPoint, Trip
 from server.models.vehicle import Assignment, Vehicle
 
 __all__ = [
+    "AccidentClaim",
+    "Alert",
+    "AlertChannel",
+    "AlertDelivery",
+    "AlertRule",
     "ApiKey",
     "Assignment",
     "AuditEntry",
@@ -24,20 +39,24 @@ __all__ = [
     "ChainSeal",
     "Change",
     "ClaimCode",
+    "DeliveryAttempt",
     "Device",
     "DeviceRequest",
     "DeviceState",
+    "Diagnosis",
     "Erasure",
     "Event",
     "EventAction",
     "EventInput",
     "EventRevision",
+    "GeofencePresence",
     "Installation",
     "MountingRevision",
     "Organisation",
     "RetentionRule",
     "SequenceRun",
     "SignInCode",
+    "TheftWatch",
     "TrackPoint",
     "Trip",
     "User",

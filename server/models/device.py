@@ -136,3 +136,14 @@ class Boot(Base):
     def utc(self, t_s: float) -> dt.datetime:
         """UTC of a box time."""
         return dt.datetime.fromtimestamp(self.unix_s(t_s), dt.UTC)
+
+
+class Diagnosis(Base):
+    """A named value of the vehicle beside the streams: at most one a minute, and only where it changed."""
+
+    __tablename__ = "diagnosis"
+
+    device_id: Mapped[str] = mapped_column(ForeignKey("device.id"), primary_key=True)
+    name: Mapped[str] = mapped_column(String(64), primary_key=True)
+    at: Mapped[dt.datetime] = mapped_column(primary_key=True)
+    value: Mapped[float]

@@ -8,6 +8,8 @@ from sqlalchemy.orm import Mapped, mapped_column
 
 from server.models.base import Base, id_column
 
+CRASHES = ("crash", "rollover", "parked_impact")
+HARSH = ("harsh_braking", "harsh_acceleration", "harsh_cornering")
 VERDICTS = ("confirmed", "false_alarm")
 ACTIONS = ("confirmed", "false_alarm", "reopened", "held", "released")
 

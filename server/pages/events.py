@@ -10,6 +10,8 @@ from typing import Any
 
 from sqlalchemy.orm import Session
 
+from server.contradictions.queries import contradictions
+from server.contradictions.schemas import ContradictionOut
 from server.events import queries
 from server.events.exports import utc_t0
 from server.models import Device, Event, EventAction, EventRevision, Vehicle
@@ -74,6 +76,7 @@ class EventPage:
     actions: Sequence[EventAction]
     words: Words
     """Of the report, in the reader's language."""
+    contradictions: Sequence[ContradictionOut]
 
     @property
     def event(self) -> Event:
@@ -169,4 +172,5 @@ def event_page(session: Session, organisation_id: str, event_id: str, language: 
         queries.revisions(session, event.id),
         queries.actions(session, event.id),
         Words(language),
+        contradictions(session, event),
     )

@@ -17,6 +17,7 @@ from sqlalchemy import and_, case, func, or_, select
 from sqlalchemy.orm import Session
 
 from server.models import Device, DeviceState, Installation, Trip, Vehicle
+from server.pages.alert_lines import AlertLine, lines
 from server.pages.events import Line, unreviewed
 from server.pages.words import LIVE_WITHIN, MOVED_IS_NEWS_FOR, SILENT_AFTER, Standing, State, largest_sigma, standing
 from server.wording import marked
@@ -109,7 +110,7 @@ class Tile:
     heading: str
     meaning: str
     href: str
-    rows: Sequence[Row | Line]
+    rows: Sequence[Row | Line | AlertLine]
 
 
 @dataclass(frozen=True)
@@ -125,6 +126,8 @@ class Fleet:
     """Before the filters."""
     crashes: Sequence[Line]
     """Severe events that nobody has looked at."""
+    alerts: Sequence[AlertLine]
+    """Alerts that nobody has acknowledged."""
 
     @property
     def boxes(self) -> int:
@@ -152,6 +155,7 @@ class Fleet:
 
         return [
             Tile("alarm", marked("Crash"), marked("not yet looked at"), "/events", self.crashes),
+            Tile("attention", marked("Alerts"), marked("not acknowledged"), "/alerts", self.alerts),
             Tile("alarm", SHOWN["loose"], marked("the box swings or lies loose"), "/?show=loose", of("loose")),
             Tile("attention", SHOWN["moved"], marked("turned in its vehicle"), "/?show=moved", of("moved")),
             Tile("unknown", SHOWN["silent"], marked("no word for a day, or never"), "/?show=silent", of("silent")),
@@ -168,7 +172,9 @@ def fleet(session: Session, organisation_id: str, wanted: Wanted, *, now: dt.dat
     if wanted.sort not in ("distance", "driving"):
         shown = _with_driving(session, organisation_id, shown, wanted.days, now=now)
     shown = _with_sigma(session, shown)
-    return Fleet(wanted, shown, len(rows), everything, unreviewed(session, organisation_id, now=now))
+    crashes = unreviewed(session, organisation_id, now=now)
+    alerts = lines(session, organisation_id, waiting=True)
+    return Fleet(wanted, shown, len(rows), everything, crashes, alerts)
 
 
 def whole(session: Session, organisation_id: str, wanted: Wanted, *, now: dt.datetime) -> Sequence[Row]:

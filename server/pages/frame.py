@@ -27,6 +27,7 @@ SECTIONS = (
     Section("fleet", "/", "map", marked("Fleet")),
     Section("vehicles", "/vehicles", "car", marked("Vehicles")),
     Section("events", "/events", "impact", marked("Events")),
+    Section("alerts", "/alerts", "bell", marked("Alerts")),
     Section("users", "/users", "people", marked("People"), "users.manage"),
     Section("audit", "/audit", "list", marked("Audit"), "audit.read"),
     Section("privacy", "/privacy", "shield", marked("Privacy"), "privacy.manage"),

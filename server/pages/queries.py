@@ -12,7 +12,8 @@ from sqlalchemy.orm import Session
 from server.errors import NotFoundError
 from server.installations.blank import blank_result
 from server.installations.queries import revisions
-from server.models import Change, Device, DeviceState, Installation, Trip, Vehicle
+from server.models import Change, Device, DeviceState, Diagnosis, Installation, Trip, Vehicle
+from server.pages.driving import Use, use_of, values_of
 from server.pages.events import Line, lines
 from server.pages.health import Course, Figure, course_of, figures, remark_sentences
 from server.pages.words import (
@@ -95,6 +96,10 @@ class VehiclePage:
     health: Sequence[Figure]
     remarks: Sequence[str]
     course: Course | None
+    use: Use | None
+    """Of a vehicle."""
+    values: Sequence[tuple[str, Diagnosis, str]]
+    """What the box told of its vehicle beside the streams."""
 
 
 def last_change(session: Session, organisation_id: str) -> int:
@@ -111,7 +116,7 @@ def vehicle_page(
         raise NotFoundError(f"There is no vehicle {vehicle_id}")
     boxes = _boxes(session, organisation_id, now=now, vehicle_id=vehicle_id)
     box = max(boxes, key=lambda box: box.device.last_seen_at or box.device.created_at, default=None)
-    return _page(session, organisation_id, vehicle, box, len(boxes), trip_id, subject=vehicle)
+    return _page(session, organisation_id, vehicle, box, len(boxes), trip_id, subject=vehicle, now=now)
 
 
 def device_page(
@@ -121,7 +126,7 @@ def device_page(
     boxes = _boxes(session, organisation_id, now=now, device_id=device_id)
     if not boxes:
         raise NotFoundError(f"There is no box {device_id}")
-    return _page(session, organisation_id, boxes[0].vehicle, boxes[0], 1, trip_id, subject=None)
+    return _page(session, organisation_id, boxes[0].vehicle, boxes[0], 1, trip_id, subject=None, now=now)
 
 
 def _page(
@@ -133,6 +138,7 @@ def _page(
     trip_id: str | None,
     *,
     subject: Vehicle | None,
+    now: dt.datetime,
 ) -> VehiclePage:
     history = _history(session, organisation_id, subject, box)
     trip = trip_of(session, organisation_id, trip_id) if trip_id else next(iter(history.trips), None)
@@ -141,7 +147,18 @@ def _page(
     if box is not None and box.installation is not None:
         course = course_of(revisions(session, [box.installation.id])[box.installation.id])
     health = {} if state is None else state.health
-    return VehiclePage(vehicle, box, history, box_count, trip, figures(health), remark_sentences(health), course)
+    return VehiclePage(
+        vehicle,
+        box,
+        history,
+        box_count,
+        trip,
+        figures(health),
+        remark_sentences(health),
+        course,
+        None if subject is None else use_of(session, organisation_id, subject.id, now=now),
+        [] if box is None else values_of(session, box.device.id),
+    )
 
 
 def _history(session: Session, organisation_id: str, vehicle: Vehicle | None, box: Box | None) -> History:

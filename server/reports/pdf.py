@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import datetime as dt
 import io
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, cast
+from xml.sax.saxutils import escape
 
 from reportlab.lib.pagesizes import A4
 from reportlab.lib.styles import ParagraphStyle
@@ -48,8 +50,17 @@ class Heading:
     plate: str | None = None
 
 
-def report_pdf(document: dict[str, Any], heading: Heading, language: Language) -> bytes:
-    """Three to five pages about one revision of an event."""
+def report_pdf(
+    document: dict[str, Any],
+    heading: Heading,
+    language: Language,
+    contradictions: Sequence[tuple[str, str]] | None = None,
+) -> bytes:
+    """Three to five pages about one revision of an event.
+
+    `contradictions` are codes and sentences about the data around the event, which are no part of the document; None
+    where nobody looked for any.
+    """
     load_fonts()
     words = Words(language)
     sink = io.BytesIO()
@@ -88,7 +99,7 @@ def report_pdf(document: dict[str, Any], heading: Heading, language: Language) -
                 super().showPage()
             super().save()
 
-    template.build(_story(document, heading, words), canvasmaker=Numbered)
+    template.build(_story(document, heading, words, contradictions), canvasmaker=Numbered)
     return sink.getvalue()
 
 
@@ -128,7 +139,9 @@ BODY = _style("body", 9.5, after=4)
 SMALL = _style("small", 8, colour=MUTED, after=3)
 
 
-def _story(document: dict[str, Any], heading: Heading, words: Words) -> list[Flowable]:
+def _story(
+    document: dict[str, Any], heading: Heading, words: Words, contradictions: Sequence[tuple[str, str]] | None
+) -> list[Flowable]:
     event, curves = document["event"], document["curves"]
     at = dt.datetime.fromtimestamp(round(utc_t0(document), 2), dt.UTC)
     severe = curves["pulse"] is not None
@@ -159,6 +172,10 @@ def _story(document: dict[str, Any], heading: Heading, words: Words) -> list[Flo
     story += [Paragraph("• " + words.remark(each["code"], each["detail"]), BODY) for each in remarks]
     if not remarks:
         story.append(Paragraph(words("q_good"), BODY))
+    if contradictions is not None:
+        story.append(Paragraph(words("contradictions"), SECTION))
+        lines = ["• " + words.remark(code, detail) for code, detail in contradictions] or [words("contradictions_none")]
+        story += [Paragraph(escape(line), BODY) for line in lines]
     story.append(KeepTogether([Paragraph(words("q_basis"), SECTION), parts.basis_table(document, words, WIDTH)]))
     story += [Paragraph(words("provenance"), SECTION), Paragraph(words("p_text"), BODY)]
     story += parts.provenance_tables(document, heading.event_sha256, words, WIDTH)

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from hashlib import sha256
+
 from fastapi import APIRouter
 from starlette.responses import Response
 
 from server.accounts.access import LocationReader
+from server.contradictions.queries import contradictions
 from server.edge import DatabaseOf
 from server.events.routes import EventId, Language, Revision, Subject, attachment, subject_of
 from server.reports.pdf import Heading, report_pdf
@@ -35,8 +38,11 @@ def heading_of(subject: Subject) -> Heading:
 def read_report(
     event_id: EventId, caller: LocationReader, database: DatabaseOf, lang: Language = "en", revision: Revision = None
 ) -> Response:
-    """The report of a revision, English or Italian; the same bytes each time."""
+    """The report of a revision, English or Italian, with the contradictions that are found now."""
     subject = subject_of(database, caller, event_id, revision)
-    return attachment(
-        report_pdf(subject.document, heading_of(subject), lang), MEDIA_TYPE, subject, f"report-{lang}.pdf"
-    )
+    with database.reading() as session:
+        found = [(each.code, each.detail) for each in contradictions(session, subject.event)]
+    content = report_pdf(subject.document, heading_of(subject), lang, found)
+    response = attachment(content, MEDIA_TYPE, subject, f"report-{lang}.pdf")
+    response.headers["ETag"] = f'"{sha256(content).hexdigest()[:32]}"'
+    return response

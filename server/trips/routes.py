@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import datetime as dt
 from typing import Annotated
 
 from fastapi import APIRouter, Query
 
 from server.accounts.access import PlaceReader, Reader
 from server.accounts.places import sight_of
-from server.edge import DatabaseOf, Moment
-from server.errors import InvalidError
+from server.edge import DatabaseOf, Moment, place_of
 from server.trips import queries
 from server.trips.schemas import TrackOut, TripOut, TripPage, track_out, trip_out
 
@@ -37,7 +35,7 @@ def list_trips(
             vehicle_id=vehicle,
             since=since,
             until=until,
-            before=None if before is None else _place(before),
+            before=None if before is None else place_of(before),
             limit=limit + 1,
         )
         last = rows[limit - 1] if len(rows) > limit else None
@@ -60,11 +58,3 @@ def read_track(trip_id: str, caller: PlaceReader, database: DatabaseOf) -> Track
     with database.reading() as session:
         trip = queries.trip_of(session, caller.organisation_id, trip_id)
         return track_out(trip.id, queries.track(session, trip.id), sight_of(caller))
-
-
-def _place(before: str) -> tuple[dt.datetime, str]:
-    moment, _, trip_id = before.partition("~")
-    try:
-        return dt.datetime.fromisoformat(moment).astimezone(dt.UTC), trip_id
-    except (ValueError, OverflowError):  # the last: a day before the first or after the last of the calendar
-        raise InvalidError("`before` is not what a page gave as `next`", code="before") from None

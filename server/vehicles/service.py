@@ -9,7 +9,7 @@ from sqlalchemy.orm import Session
 
 from server.errors import ConflictError, InvalidError
 from server.live.changes import announce
-from server.models import Assignment, Device, Installation, Trip, Vehicle
+from server.models import AccidentClaim, Assignment, Device, Installation, Trip, Vehicle
 from server.vehicles.queries import vehicle_of
 from server.vehicles.schemas import VehicleChange, VehicleIn
 
@@ -45,7 +45,8 @@ def change(
 def remove(session: Session, organisation_id: str, vehicle_id: str, *, now: dt.datetime) -> None:
     """Delete a vehicle that never had a box; what happened in a vehicle stays on record."""
     vehicle = vehicle_of(session, organisation_id, vehicle_id)
-    has_history = (exists().where(table.vehicle_id == vehicle.id) for table in (Assignment, Device, Installation, Trip))
+    tables = (AccidentClaim, Assignment, Device, Installation, Trip)
+    has_history = (exists().where(table.vehicle_id == vehicle.id) for table in tables)
     if any(session.scalar(select(found)) for found in has_history):
         raise ConflictError("The vehicle has had a box; its record is kept", code="vehicle_in_use")
     _announce(session, vehicle, now)

@@ -17,7 +17,7 @@ from server.formats.drive import from_drive
 from server.ingest import service
 from server.ingest.service import BatchKey, Upload
 from server.jobs.work import Outcome, bring_up_to_date
-from server.models import Batch, Change
+from server.models import Batch, Change, Vehicle
 from server.store import blob_key, open_store
 
 METRES_PER_RADIAN = 6371008.8
@@ -89,6 +89,19 @@ class World:
 
     def unprocessed(self) -> int:
         return sum(batch.processed_at is None for batch in self.rows(Batch))
+
+
+class CarriedWorld(World):
+    """The same, with the box in a vehicle."""
+
+    def __init__(self, database, settings, clock, organisation) -> None:
+        super().__init__(database, settings, clock, organisation)
+        with database.transaction() as session:
+            vehicle = Vehicle(organisation_id=organisation.id, name="Panda", created_at=clock())
+            session.add(vehicle)
+            session.flush()
+            self.vehicle_id = vehicle.id
+        self.device_id = self.new_device(self.vehicle_id)
 
 
 def nothing_happened(*_, **__):

@@ -23,6 +23,11 @@ from server.formats.columns import Columns
 from server.installations.blank import blank_result
 from server.isolation import EVERYWHERE
 from server.models import (
+    AccidentClaim,
+    Alert,
+    AlertChannel,
+    AlertDelivery,
+    AlertRule,
     ApiKey,
     Assignment,
     AuditEntry,
@@ -33,18 +38,22 @@ from server.models import (
     ChainSeal,
     Change,
     ClaimCode,
+    DeliveryAttempt,
     Device,
     DeviceRequest,
     DeviceState,
+    Diagnosis,
     Erasure,
     Event,
     EventAction,
+    GeofencePresence,
     Installation,
     MountingRevision,
     Organisation,
     RetentionRule,
     SequenceRun,
     SignInCode,
+    TheftWatch,
     TrackPoint,
     Trip,
     User,
@@ -60,6 +69,9 @@ AT = dt.datetime(2026, 3, 1, 12, 0, tzinfo=dt.UTC)
 OPEN = re.compile(r"/(healthz|readyz|metrics|openapi\.json|docs|login|static.*|api/v1/auth/.*|api/v1/claim)")
 
 
+ALERT_IDS = ("alert", "rule", "channel", "delivery", "claim")
+
+
 def fill(session: Session, store: BlobStore, name: str) -> dict[str, str]:
     """A row of every table for an organisation; ids by the names that routes use."""
     organisation = Organisation(id=f"{name}0" * 16, name=name, created_at=AT - dt.timedelta(days=1))
@@ -68,6 +80,7 @@ def fill(session: Session, store: BlobStore, name: str) -> dict[str, str]:
         for number, kind in enumerate(("vehicle", "device", "trip", "user", "key", "request", "event"), 1)
     }
     ids["erasure"] = f"{name}e" * 16
+    ids |= {kind: name + letter * 31 for letter, kind in zip("cdefg", ALERT_IDS, strict=True)}
     rest = {kind: f"{name}{number}" * 16 for number, kind in enumerate(("batch", "installation"), 8)}
     org = organisation.id
     columns = Columns({"t": np.array([0.0, 1.0]), **dict.fromkeys(("fx", "fy", "fz"), np.zeros(2))})
@@ -228,7 +241,79 @@ def fill(session: Session, store: BlobStore, name: str) -> dict[str, str]:
         ]
     )
     fill_event(session, ids, f"of {name}")
+    fill_alert(session, org, ids, f"of {name}")
     return {"organisation": org, **ids}
+
+
+def fill_alert(session: Session, org: str, ids: dict[str, str], note: str) -> None:
+    """An alert with everything around it."""
+    own = {"organisation_id": org, "created_at": AT}
+    about = {"device_id": ids["device"], "vehicle_id": ids["vehicle"], "event_id": ids["event"]}
+    place = {"passage": "left", "fence": note, "position": {"lat_deg": 45.0, "lon_deg": 11.0}}
+    session.add_all(
+        [
+            AlertRule(
+                id=ids["rule"],
+                name=note,
+                kind="crash",
+                parameters={"min_delta_v_kmh": 0.0},
+                channels=[ids["channel"]],
+                cooldown_s=0.0,
+                **own,
+            ),
+            AlertChannel(id=ids["channel"], name=note, kind="webhook", recipients=[note], secret=note, **own),
+            Alert(
+                id=ids["alert"],
+                rule_id=ids["rule"],
+                kind="geofence",
+                severity="info",
+                occurrence=note,
+                at=AT,
+                facts=place,
+                **about,
+                **own,
+            ),
+            TheftWatch(vehicle_id=ids["vehicle"], organisation_id=org, armed_at=AT, armed_by=note),
+            AccidentClaim(
+                id=ids["claim"],
+                vehicle_id=ids["vehicle"],
+                reference=note,
+                began_at=AT,
+                ended_at=AT,
+                created_by=note,
+                answer={
+                    "verdict": "no_data",
+                    "says": note,
+                    "pulses": [],
+                    "bound": None,
+                    "covered_share": 0.0,
+                    "gaps": [],
+                    "boxes": [],
+                    "contradictions": [],
+                },
+                **own,
+            ),
+            Diagnosis(device_id=ids["device"], name="battery_v", at=AT, value=12.0),
+        ]
+    )
+    session.flush()
+    session.add(GeofencePresence(rule_id=ids["rule"], device_id=ids["device"], inside=True, at=AT))
+    session.add(
+        AlertDelivery(
+            id=ids["delivery"],
+            alert_id=ids["alert"],
+            channel_id=ids["channel"],
+            reason="raised",
+            priority=1,
+            state="dead",
+            due_at=AT,
+            finished_at=AT,
+            error=note,
+            **own,
+        )
+    )
+    session.flush()
+    session.add(DeliveryAttempt(organisation_id=org, delivery_id=ids["delivery"], number=1, began_at=AT))
 
 
 def fill_event(session: Session, ids: dict[str, str], note: str) -> None:
@@ -372,6 +457,10 @@ BODIES = {
         "back": "/devices/0",
     },
     "POST /events/{event_id}/hold": {"held": "true", "reason": "taken over"},
+    "PUT /api/v1/alert-rules/{rule_id}": {"name": "taken", "condition": {"kind": "crash"}},
+    "PUT /api/v1/alert-channels/{channel_id}": {"kind": "webhook", "name": "taken", "url": "https://example.org/"},
+    "PUT /api/v1/vehicles/{vehicle_id}/theft": {"armed": True},
+    "POST /vehicles/{vehicle_id}/theft": {"armed": "true"},
 }
 QUERIES = {"/api/v1/events/{event_id}/diff": {"before": 1}}
 
@@ -424,12 +513,23 @@ def test_an_administrator_reaches_nothing_of_another_organisation(app, client, t
     for method, path, body in (
         ("POST", "/api/v1/devices", {"name": "x", "vehicle_id": theirs["vehicle"]}),
         ("PUT", f"/api/v1/devices/{mine['device']}/vehicle", {"vehicle_id": theirs["vehicle"]}),
+        (
+            "POST",
+            "/api/v1/alert-rules",
+            {"name": "x", "condition": {"kind": "crash"}, "channels": [theirs["channel"]]},
+        ),
     ):
         assert client.request(method, path, json=body).status_code == 422, path
     for subject in (f"vehicle:{theirs['vehicle']}", f"user:{theirs['user']}"):
         for act in ("plan", "erase"):
             form = {"subject": subject, "reason": "taken over", "act": act}
             assert client.post("/privacy/erasure", data=form).status_code == 404, subject
+    window = {"from": AT.isoformat(), "to": (AT + dt.timedelta(hours=1)).isoformat()}
+    for path, body in (
+        ("/api/v1/alert-rules", {"name": "x", "condition": {"kind": "crash"}, "vehicle_id": theirs["vehicle"]}),
+        ("/api/v1/accident-claims", {"vehicle_id": theirs["vehicle"], "reference": "x", **window}),
+    ):
+        assert client.post(path, json=body).status_code == 404, path
     assert everything(tenants.database, own_organisation) == before
 
 
@@ -469,6 +569,13 @@ def test_each_role_does_what_it_may_and_no_more(app, serve, tenants, clock):
                 ("POST", "/api/v1/events/{event_id}/view-ticket"),
                 ("POST", "/events/{event_id}/review"),
                 ("POST", "/events/{event_id}/hold"),
+                ("POST", "/api/v1/alert-rules"),
+                ("POST", "/api/v1/alert-channels"),
+                ("POST", "/api/v1/alerts/{alert_id}/acknowledge"),
+                ("POST", "/alerts/{alert_id}/acknowledge"),
+                ("PUT", "/api/v1/vehicles/{vehicle_id}/theft"),
+                ("POST", "/api/v1/alert-deliveries/{delivery_id}/replay"),
+                ("POST", "/api/v1/accident-claims"),
             ):
                 answer = browser.request(
                     method, filled(path, tenants.mine), json={}, headers={"X-CSRF-Token": opened.csrf_token}
@@ -569,6 +676,25 @@ def test_who_may_not_locate_is_told_of_an_event_with_a_coarse_place(app, serve, 
         ):
             assert (words in page.text) == (role == "claims"), words
         assert (f'action="{url}/review"' in page.text) == (role == "claims")
+
+
+def test_who_may_not_locate_is_told_of_an_alert_without_its_place(app, serve, tenants, clock):
+    from server.accounts.service import open_session
+
+    address = serve(app)
+    for role in ("reader", "manager"):
+        with tenants.database.transaction() as session:
+            session.execute(sa.update(User).where(User.id == tenants.mine["user"]).values(role=role))
+            opened = open_session(session, tenants.mine["organisation"], now=clock(), user_id=tenants.mine["user"])
+        with httpx.Client(base_url=address, cookies={"scatola_session": opened.token}) as browser:
+            (listed,) = browser.get("/api/v1/alerts").json()["items"]
+            one = browser.get(f"/api/v1/alerts/{tenants.mine['alert']}").json()
+            page = browser.get("/alerts").text
+        for told in (listed, one):
+            assert (told["facts"]["position"] is None) == (role == "reader")
+            assert told["facts"]["passage"] == "left"
+        assert ("45.00000" in page) == (role == "manager")
+        assert ("/acknowledge" in page) == (role == "manager")
 
 
 # --- the audit log

@@ -5,7 +5,9 @@
 import { formatTimes } from "./time.js";
 import { t } from "./words.js";
 
-const KINDS = ["batch", "installation", "trip", "position", "moved", "device", "vehicle", "event"];
+/** @typedef {{at: string, device_id: string | null, vehicle_id: string | null}} Change */
+
+const KINDS = ["batch", "installation", "trip", "position", "moved", "device", "vehicle", "event", "alert"];
 /** Changes come in crowds; a second's worth of them is one fetch, and a page that takes long to make waits longer. */
 const SETTLE_MS = 1000;
 const REST_PER_WORK = 8;
@@ -41,7 +43,7 @@ function connect() {
       /** @type {Change} */
       const change = JSON.parse(event.data);
       document.dispatchEvent(new CustomEvent("scatola:change", { detail: { kind, ...change } }));
-      if (concerns(change)) refreshSoon(kind === "event" ? URGENT_MS : SETTLE_MS);
+      if (concerns(change)) refreshSoon(kind === "event" || kind === "alert" ? URGENT_MS : SETTLE_MS);
     });
   }
   addEventListener("pagehide", () => source.close());

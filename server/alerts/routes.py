@@ -1,0 +1,288 @@
+"""Alerts, rules, channels, deliveries and theft mode over HTTP."""
+
+from __future__ import annotations
+
+import datetime as dt
+from typing import Annotated, Any, Literal
+
+from fastapi import APIRouter, Path, Query, Request
+from sqlalchemy.orm import Session
+from starlette.responses import Response
+
+from server.accounts import audit
+from server.accounts.access import Administrator, Caller, Reader, address_of, look_at_places
+from server.alerts import queries, service
+from server.alerts.schemas import (
+    AlertOut,
+    AlertPage,
+    AttemptOut,
+    ChannelIn,
+    ChannelMade,
+    ChannelOut,
+    DeliveryDetail,
+    DeliveryOut,
+    DeliveryPage,
+    Kind,
+    Replayed,
+    RuleIn,
+    RuleOut,
+    TheftIn,
+    TheftOut,
+)
+from server.alerts.webhook import Guard
+from server.edge import DatabaseOf, Now, SettingsOf, place_of
+from server.models import Alert, AlertRule
+from server.problems import described
+
+router = APIRouter(prefix="/api/v1", tags=["alerts"])
+
+Id = Annotated[str, Path(max_length=32)]
+_PLACES = ("position",)
+
+
+@router.get("/alerts")
+def list_alerts(
+    request: Request,
+    caller: Reader,
+    database: DatabaseOf,
+    kind: Annotated[Kind | None, Query()] = None,
+    device: Annotated[str | None, Query(max_length=32)] = None,
+    vehicle: Annotated[str | None, Query(max_length=32)] = None,
+    waiting: Annotated[bool | None, Query(description="those that nobody acknowledged, or all but them")] = None,
+    before: Annotated[str | None, Query(max_length=100)] = None,
+    limit: Annotated[int, Query(ge=1, le=500)] = 100,
+) -> AlertPage:
+    """Alerts, the newest first, a page at a time."""
+    look_at_places(request, caller)
+    with database.reading() as session:
+        rows = queries.alerts(
+            session,
+            caller.organisation_id,
+            kind=kind,
+            device_id=device,
+            vehicle_id=vehicle,
+            waiting=waiting,
+            before=None if before is None else place_of(before),
+            limit=limit + 1,
+        )
+    last = rows[limit - 1] if len(rows) > limit else None
+    located = caller.may("location.read")
+    return AlertPage(
+        items=[alert_out(row, located=located) for row in rows[:limit]],
+        next=None if last is None else f"{last.created_at.isoformat()}~{last.id}",
+    )
+
+
+@router.get("/alerts/{alert_id}")
+def read_alert(request: Request, alert_id: Id, caller: Reader, database: DatabaseOf) -> AlertOut:
+    """One alert; of an emergency with the message that was sent."""
+    look_at_places(request, caller)
+    with database.reading() as session:
+        row = queries.alert_of(session, caller.organisation_id, alert_id)
+        return alert_out(row, located=caller.may("location.read"))
+
+
+@router.post("/alerts/{alert_id}/acknowledge")
+def acknowledge(request: Request, alert_id: Id, caller: Administrator, database: DatabaseOf, now: Now) -> AlertOut:
+    """Say that somebody looks after it."""
+    look_at_places(request, caller)
+    with database.transaction() as session:
+        row = service.acknowledge(session, caller.organisation_id, alert_id, actor=caller.name, now=now)
+        return alert_out(row, located=caller.may("location.read"))
+
+
+@router.get("/alert-rules")
+def list_rules(caller: Reader, database: DatabaseOf) -> list[RuleOut]:
+    """What the organisation wants to be told of."""
+    with database.reading() as session:
+        return [rule_out(row) for row in queries.rules(session, caller.organisation_id)]
+
+
+@router.post("/alert-rules", status_code=201, responses=described(409))
+def add_rule(wanted: RuleIn, caller: Administrator, database: DatabaseOf, now: Now) -> RuleOut:
+    """Be told of something."""
+    with database.transaction() as session:
+        rule_id = service.set_rule(session, caller.organisation_id, None, wanted, now=now)
+        return rule_out(queries.rule_of(session, caller.organisation_id, rule_id))
+
+
+@router.get("/alert-rules/{rule_id}")
+def read_rule(rule_id: Id, caller: Reader, database: DatabaseOf) -> RuleOut:
+    """One rule."""
+    with database.reading() as session:
+        return rule_out(queries.rule_of(session, caller.organisation_id, rule_id))
+
+
+@router.put("/alert-rules/{rule_id}", responses=described(409))
+def change_rule(rule_id: Id, wanted: RuleIn, caller: Administrator, database: DatabaseOf, now: Now) -> RuleOut:
+    """The whole rule anew; its kind stays."""
+    with database.transaction() as session:
+        service.set_rule(session, caller.organisation_id, rule_id, wanted, now=now)
+        return rule_out(queries.rule_of(session, caller.organisation_id, rule_id))
+
+
+@router.delete("/alert-rules/{rule_id}", status_code=204)
+def remove_rule(rule_id: Id, caller: Administrator, database: DatabaseOf) -> Response:
+    """Look for it no more; its alerts stay."""
+    with database.transaction() as session:
+        service.remove_rule(session, caller.organisation_id, rule_id)
+    return Response(status_code=204)
+
+
+@router.get("/alert-channels")
+def list_channels(caller: Administrator, database: DatabaseOf) -> list[ChannelOut]:
+    """Where alerts go."""
+    with database.reading() as session:
+        found = queries.channels(session, caller.organisation_id)
+        return [ChannelOut.model_validate(row, from_attributes=True) for row in found]
+
+
+@router.post("/alert-channels", status_code=201, responses=described(409))
+def add_channel(
+    request: Request, wanted: ChannelIn, caller: Administrator, settings: SettingsOf, database: DatabaseOf, now: Now
+) -> ChannelMade:
+    """Add an e-mail or webhook channel; a webhook's secret is shown once, here."""
+    with database.transaction() as session:
+        made = service.add_channel(
+            session, caller.organisation_id, wanted, guard=Guard(settings.webhook_networks), now=now
+        )
+        _note(session, caller, "channel.added", made, request, now)
+    return made
+
+
+@router.get("/alert-channels/{channel_id}")
+def read_channel(channel_id: Id, caller: Administrator, database: DatabaseOf) -> ChannelOut:
+    """One channel, without its secret."""
+    with database.reading() as session:
+        row = queries.channel_of(session, caller.organisation_id, channel_id)
+        return ChannelOut.model_validate(row, from_attributes=True)
+
+
+@router.put("/alert-channels/{channel_id}", responses=described(409))
+def change_channel(
+    request: Request,
+    channel_id: Id,
+    wanted: ChannelIn,
+    caller: Administrator,
+    settings: SettingsOf,
+    database: DatabaseOf,
+    now: Now,
+) -> ChannelOut:
+    """The whole channel anew; its kind and its secret stay."""
+    with database.transaction() as session:
+        row = service.change_channel(
+            session, caller.organisation_id, channel_id, wanted, guard=Guard(settings.webhook_networks)
+        )
+        told = ChannelOut.model_validate(row, from_attributes=True)
+        _note(session, caller, "channel.changed", told, request, now)
+    return told
+
+
+@router.post("/alert-channels/{channel_id}/secret", responses=described(409))
+def new_secret(request: Request, channel_id: Id, caller: Administrator, database: DatabaseOf, now: Now) -> ChannelMade:
+    """Another secret for a webhook, shown once; the old one ends at once."""
+    with database.transaction() as session:
+        made = service.new_secret(session, caller.organisation_id, channel_id)
+        _note(session, caller, "channel.secret", made, request, now)
+    return made
+
+
+@router.post("/alert-channels/{channel_id}/replay")
+def replay_channel(channel_id: Id, caller: Administrator, database: DatabaseOf, now: Now) -> Replayed:
+    """Try all dead letters of a channel again."""
+    with database.transaction() as session:
+        return Replayed(replayed=service.replay_all(session, caller.organisation_id, channel_id, now=now))
+
+
+@router.delete("/alert-channels/{channel_id}", status_code=204)
+def remove_channel(request: Request, channel_id: Id, caller: Administrator, database: DatabaseOf, now: Now) -> Response:
+    """Tell nobody there any more."""
+    with database.transaction() as session:
+        row = queries.channel_of(session, caller.organisation_id, channel_id)
+        told = ChannelOut.model_validate(row, from_attributes=True)
+        service.remove_channel(session, caller.organisation_id, channel_id)
+        _note(session, caller, "channel.removed", told, request, now)
+    return Response(status_code=204)
+
+
+@router.get("/alert-deliveries")
+def list_deliveries(
+    caller: Administrator,
+    database: DatabaseOf,
+    state: Annotated[Literal["waiting", "delivered", "dead"] | None, Query()] = None,
+    alert: Annotated[str | None, Query(max_length=32)] = None,
+    limit: Annotated[int, Query(ge=1, le=500)] = 100,
+) -> DeliveryPage:
+    """What was and is to be sent, the newest first."""
+    with database.reading() as session:
+        rows = queries.deliveries(session, caller.organisation_id, state=state, alert_id=alert, limit=limit)
+    return DeliveryPage(items=[DeliveryOut.model_validate(row, from_attributes=True) for row in rows])
+
+
+@router.get("/alert-deliveries/{delivery_id}")
+def read_delivery(delivery_id: Id, caller: Administrator, database: DatabaseOf) -> DeliveryDetail:
+    """One delivery with every try."""
+    with database.reading() as session:
+        row = queries.delivery_of(session, caller.organisation_id, delivery_id)
+        tries = queries.attempts(session, delivery_id)
+    return DeliveryDetail(
+        **DeliveryOut.model_validate(row, from_attributes=True).model_dump(),
+        tries=[AttemptOut.model_validate(each, from_attributes=True) for each in tries],
+    )
+
+
+@router.post("/alert-deliveries/{delivery_id}/replay", responses=described(409))
+def replay(delivery_id: Id, caller: Administrator, database: DatabaseOf, now: Now) -> DeliveryOut:
+    """Try a dead letter again."""
+    with database.transaction() as session:
+        row = service.replay(session, caller.organisation_id, delivery_id, now=now)
+        return DeliveryOut.model_validate(row, from_attributes=True)
+
+
+@router.get("/vehicles/{vehicle_id}/theft")
+def read_theft(vehicle_id: Id, caller: Reader, database: DatabaseOf) -> TheftOut:
+    """How a vehicle is watched."""
+    with database.reading() as session:
+        return service.theft(session, caller.organisation_id, vehicle_id)
+
+
+@router.put("/vehicles/{vehicle_id}/theft")
+def put_theft(vehicle_id: Id, wanted: TheftIn, caller: Administrator, database: DatabaseOf, now: Now) -> TheftOut:
+    """Arm a vehicle by hand, so that any movement is an alarm; or end that, and an alarm."""
+    with database.transaction() as session:
+        service.arm(session, caller.organisation_id, vehicle_id, armed=wanted.armed, actor=caller.name, now=now)
+        session.flush()
+        return service.theft(session, caller.organisation_id, vehicle_id)
+
+
+def rule_out(row: AlertRule) -> RuleOut:
+    """A rule as JSON."""
+    own = ("id", "name", "enabled", "vehicle_id", "channels", "cooldown_s", "created_at")
+    condition = {"kind": row.kind, **row.parameters}
+    return RuleOut.model_validate({**{name: getattr(row, name) for name in own}, "condition": condition})
+
+
+def alert_out(row: Alert, *, located: bool) -> AlertOut:
+    """An alert as JSON; not `located`, without places."""
+    told = AlertOut.model_validate(row, from_attributes=True)
+    if not located:
+        told.facts = without_places(told.facts)
+    return told
+
+
+def without_places(facts: dict[str, Any]) -> dict[str, Any]:
+    """Facts for whoever may not see where vehicles are."""
+    told = {name: None if name in _PLACES else value for name, value in facts.items()}
+    msd: dict[str, Any] | None = told.get("msd")
+    if msd is not None:
+        hidden = ("vehicleLocation", "recentVehicleLocationN1", "recentVehicleLocationN2")
+        told["msd"] = {name: None if name in hidden else value for name, value in msd.items()}
+    return told
+
+
+def _note(
+    session: Session, caller: Caller, action: str, channel: ChannelOut, request: Request, now: dt.datetime
+) -> None:
+    detail = {"kind": channel.kind, "name": channel.name, "emergency": channel.emergency, "enabled": channel.enabled}
+    address = address_of(request)
+    audit.record(session, caller, action, f"channel={channel.id}", now=now, address=address, detail=detail)
