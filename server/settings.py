@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import atexit
 import os
+import shutil
 import sys
+import tempfile
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -42,6 +45,10 @@ class Settings(BaseSettings):
     max_decoded_bytes: int = Field(default=64 * 1024 * 1024, gt=0)
     device_requests_per_minute: int = Field(default=600, gt=0)
     device_bytes_per_day: int = Field(default=2 * 1024**3, gt=0)
+    drain_seconds: float | None = Field(default=None, ge=0, le=8)
+    metrics_port: int | None = Field(default=None, ge=0, le=65535)
+    metrics_host: str = "127.0.0.1"
+    otlp_endpoint: str | None = None
     log_json: bool = False
     log_level: Literal["debug", "info", "warning", "error"] = "info"
 
@@ -58,6 +65,14 @@ class Settings(BaseSettings):
         return self.broker_url is None
 
     @property
+    def drain_s(self) -> float:
+        """How long the API answers 503 on /readyz before it takes no more connections.
+
+        A balancer in front of several needs the time to notice; an installation on its own has none.
+        """
+        return self.drain_seconds if self.drain_seconds is not None else 0.0 if self.embedded else 3.0
+
+    @property
     def database_dsn(self) -> str:
         """SQLAlchemy URL of the database; a bare postgresql:// is given the psycopg 3 driver."""
         if self.database_url is None:
@@ -67,6 +82,17 @@ class Settings(BaseSettings):
             if url.startswith(scheme):
                 return "postgresql+psycopg://" + url.removeprefix(scheme)
         return url
+
+
+def share_figures() -> None:
+    """Let the processes that this one starts count into the figures that it shows; before prometheus_client is imported.
+
+    The folder is of this run alone: what an earlier run counted is not counted again.
+    """
+    if not os.environ.get("PROMETHEUS_MULTIPROC_DIR"):
+        folder = tempfile.mkdtemp(prefix="scatola-figures-")
+        atexit.register(shutil.rmtree, folder, ignore_errors=True)
+        os.environ["PROMETHEUS_MULTIPROC_DIR"] = folder
 
 
 def set_numba_cache_dir() -> None:
