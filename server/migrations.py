@@ -44,6 +44,16 @@ def is_current(engine: Engine) -> bool:
         return MigrationContext.configure(connection).get_current_revision() == head()
 
 
+def serves(engine: Engine) -> bool:
+    """Whether this version works on a database: it is at the newest revision, or ahead by a newer version's.
+
+    Revisions are numbers.  A newer version only adds (docs/operations.md): it can migrate while this one serves.
+    """
+    with engine.execution_options(writes=False).connect() as connection:
+        found, newest = MigrationContext.configure(connection).get_current_revision(), head()
+    return found is not None and newest is not None and found.isdecimal() and found >= newest
+
+
 def upgrade(settings: Settings, revision: str = "head") -> None:
     """Bring the settings' database up to a revision, in one transaction and one process at a time."""
     with migrating(settings) as connection:

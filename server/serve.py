@@ -17,9 +17,9 @@ from server.app import create_app
 from server.database import Database
 from server.jobs.supervise import Child, Supervisor, scatola
 from server.live.hub import LiveHub
+from server.logs import configure_logging
 from server.migrations import is_current, upgrade
 from server.settings import Settings
-from server.telemetry import configure_logging
 
 _FINISH_REQUESTS_S, _FINISH_CHILDREN_S = 2, 7.0
 """Together under the ten seconds in which everything is promised to have stopped."""

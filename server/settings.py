@@ -85,9 +85,9 @@ class Settings(BaseSettings):
 
 
 def share_figures() -> None:
-    """Let the processes that this one starts count into the figures that it shows; before prometheus_client is imported.
+    """Let the processes that this one starts count into the figures that it shows.
 
-    The folder is of this run alone: what an earlier run counted is not counted again.
+    Before prometheus_client is imported.  The folder is of this run alone: an earlier run's counts are not shown.
     """
     if not os.environ.get("PROMETHEUS_MULTIPROC_DIR"):
         folder = tempfile.mkdtemp(prefix="scatola-figures-")

@@ -1,16 +1,12 @@
-"""Logs and figures: one line and one count per request, by route template and never by raw path.
+"""What is told of requests: one line and one count per request, by route template and never by raw path.
 
 A path may hold a view's ticket and a query a sign-in code, so neither is logged; nor are headers or bodies.
-What a library's message or an exception's text lets slip is struck out of the finished line.
 """
 
 from __future__ import annotations
 
-import logging
 import math
 import os
-import re
-import sys
 import threading
 import time
 import uuid
@@ -33,66 +29,11 @@ Gauges = dict[str, tuple[str, float | dict[str, float]]]
 """Name to what it is and its value, or its value by queue."""
 
 _UNTRACED = ("/healthz", "/readyz", "/metrics", "/static")
-# Credentials, wherever they turn up: the password of an address, a bearer's token or signature, our own keys and
-# cookies, a query's code, a view's ticket in its path.
-_SECRETS = re.compile(
-    r"(://[^:/@\s]*:)[^@/\s]+(?=@)"
-    r"|(\b(?:bearer|scatola-hmac-sha256)\s+)[^\s\"',\\]+"
-    r"|(\bsc[a-z]_)[A-Za-z0-9_-]{8,}"
-    r"|(\b(?:scatola_session|code|token|password|secret|csrf_token)=)[^\s&;\"',\\]+"
-    r"|(/view3d/)[A-Za-z0-9_-]{16,}",
-    re.IGNORECASE,
-)
 _METHODS = frozenset({"GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"})
 
 GAUGES_LIFE_S = 2.0
 
 log = structlog.stdlib.get_logger("scatola")
-
-
-def redact(text: str) -> str:
-    """The text with what looks like a credential struck out."""
-    return _SECRETS.sub(lambda match: f"{next(filter(None, match.groups()))}[redacted]", text)
-
-
-def _redacted(logger: object, name: str, line: object) -> object:
-    del logger, name
-    return redact(line) if isinstance(line, str) else line
-
-
-def configure_logging(*, as_json: bool, level: str = "info") -> None:
-    """One line per event on standard error, of our own and of the libraries that use `logging`."""
-    shared: list[structlog.typing.Processor] = [
-        structlog.contextvars.merge_contextvars,
-        structlog.stdlib.add_log_level,
-        structlog.processors.TimeStamper(fmt="iso", utc=True),
-    ]
-    render: structlog.typing.Processor = (
-        structlog.processors.JSONRenderer()
-        if as_json
-        else structlog.dev.ConsoleRenderer(
-            colors=sys.stderr.isatty(), exception_formatter=structlog.dev.plain_traceback
-        )
-    )
-    tail: list[structlog.typing.Processor] = [structlog.processors.format_exc_info] if as_json else []
-    structlog.configure(
-        processors=[*shared, structlog.stdlib.ProcessorFormatter.wrap_for_formatter],
-        wrapper_class=structlog.stdlib.BoundLogger,
-        logger_factory=structlog.stdlib.LoggerFactory(),
-        cache_logger_on_first_use=True,
-    )
-    formatter = structlog.stdlib.ProcessorFormatter(
-        foreign_pre_chain=shared,
-        processors=[structlog.stdlib.ProcessorFormatter.remove_processors_meta, *tail, render, _redacted],
-    )
-    handler = logging.StreamHandler(sys.stderr)
-    handler.setFormatter(formatter)
-    root = logging.getLogger()
-    root.handlers[:] = [handler]
-    root.setLevel(level.upper())
-    # Libraries that tell every step of theirs at the level at which we tell of a request.
-    for name in ("alembic", "uvicorn", "httpx", "dramatiq", "pika", "websockets"):
-        logging.getLogger(name).setLevel(logging.WARNING)
 
 
 class Backlog(Collector):

@@ -28,7 +28,7 @@ def worker(args: argparse.Namespace) -> int:
     del args
     set_numba_cache_dir()
     from server.jobs.worker import run
-    from server.telemetry import configure_logging
+    from server.logs import configure_logging
 
     settings = Settings()
     configure_logging(as_json=settings.log_json, level=settings.log_level)
@@ -39,7 +39,7 @@ def worker(args: argparse.Namespace) -> int:
 def viewer(args: argparse.Namespace) -> int:
     """`scatola viewer`."""
     from server.jobs.supervise import follow_parent
-    from server.telemetry import configure_logging
+    from server.logs import configure_logging
     from server.view3d.viewer import run_viewer
 
     settings = Settings()

@@ -8,6 +8,7 @@ from server.models.change import Change
 from server.models.device import Boot, ClaimCode, Device, DeviceRequest, DeviceState
 from server.models.event import ChainSeal, Event, EventAction, EventInput, EventRevision
 from server.models.installation import Installation, MountingRevision
+from server.models.job import JobFailure, Rerun, RerunItem
 from server.models.organisation import Organisation
 from server.models.trip import TrackPoint, Trip
 from server.models.vehicle import Assignment, Vehicle
@@ -31,8 +32,11 @@ __all__ = [
     "EventInput",
     "EventRevision",
     "Installation",
+    "JobFailure",
     "MountingRevision",
     "Organisation",
+    "Rerun",
+    "RerunItem",
     "SequenceRun",
     "SignInCode",
     "TrackPoint",

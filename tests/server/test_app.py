@@ -148,7 +148,7 @@ import httpx, threading, time, uvicorn, sys
 from pathlib import Path
 from server.app import create_app
 from server.settings import Settings
-from server.telemetry import configure_logging
+from server.logs import configure_logging
 configure_logging(as_json=True)
 app = create_app(Settings(data_dir=Path(sys.argv[1]), admin_token="very-secret-token"))
 server = uvicorn.Server(uvicorn.Config(app, port=0, log_config=None, access_log=False))
