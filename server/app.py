@@ -29,7 +29,7 @@ from server.ingest import routes as ingest
 from server.installations import routes as installations
 from server.limits import BodyLimit, TokenBuckets
 from server.live import routes as live
-from server.migrations import is_current
+from server.migrations import serves
 from server.pages import accounts as account_pages
 from server.pages import fleet_routes, templating
 from server.pages import routes as pages
@@ -62,7 +62,7 @@ def _nobody_to_wake(device_id: str) -> None:
 async def _lifespan(app: FastAPI) -> AsyncGenerator[None]:
     def prepare() -> None:
         database: Database = app.state.database
-        if not is_current(database.engine):
+        if not serves(database.engine):
             log.warning("the database is not migrated to this version")
             return
         with database.transaction() as session:

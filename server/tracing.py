@@ -41,7 +41,7 @@ def configure_tracing(settings: Settings, role: str) -> Callable[[], None]:
         raise ValueError("SCATOLA_OTLP_ENDPOINT is set, but scatola[tracing] is not installed") from error
     provider = TracerProvider(resource=Resource.create({"service.name": f"scatola-{role}"}))
     # A collector that is down must hold up nothing: spans wait in a bounded queue and are dropped from it.
-    exporter = OTLPSpanExporter(settings.otlp_endpoint.rstrip("/") + "/v1/traces", timeout=5)
+    exporter = OTLPSpanExporter(settings.otlp_endpoint.rstrip("/") + "/v1/traces", timeout=2)
     provider.add_span_processor(BatchSpanProcessor(exporter))
     trace.set_tracer_provider(provider)
     return provider.shutdown

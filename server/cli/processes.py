@@ -9,7 +9,7 @@ import tempfile
 import threading
 from pathlib import Path
 
-from server.settings import Settings, set_numba_cache_dir
+from server.settings import Settings, set_numba_cache_dir, share_figures
 
 say = functools.partial(print, flush=True)
 
@@ -17,9 +17,12 @@ say = functools.partial(print, flush=True)
 def serve(args: argparse.Namespace) -> int:
     """`scatola serve`."""
     del args
+    settings = Settings()
+    if settings.embedded:
+        share_figures()
     from server.serve import serve as run
 
-    run(Settings(), say=say)
+    run(settings, say=say)
     return 0
 
 
@@ -29,10 +32,15 @@ def worker(args: argparse.Namespace) -> int:
     set_numba_cache_dir()
     from server.jobs.worker import run
     from server.logs import configure_logging
+    from server.tracing import configure_tracing
 
     settings = Settings()
     configure_logging(as_json=settings.log_json, level=settings.log_level)
-    run(settings)
+    flush = configure_tracing(settings, "worker")
+    try:
+        run(settings)
+    finally:
+        flush()
     return 0
 
 

@@ -13,12 +13,13 @@ from collections.abc import Callable
 from types import FrameType
 
 import structlog
+from prometheus_client import start_http_server
 
 from server.database import Database
 from server.jobs.due import burst_devices, due_devices
 from server.jobs.failures import Job, left_alone
 from server.jobs.rerun import Reruns
-from server.jobs.run import Tally, run_job
+from server.jobs.run import FIGURES, Tally, run_job
 from server.jobs.supervise import parent_fd
 from server.migrations import serves
 from server.settings import Settings, set_numba_cache_dir
@@ -63,6 +64,8 @@ def run(settings: Settings) -> None:
     else:
         from server.jobs.broker import run_consumer
 
+        if settings.metrics_port is not None:
+            start_http_server(settings.metrics_port, settings.metrics_host, registry=FIGURES)
         run_consumer(settings, stop=stop, clock=utc_now)
 
 

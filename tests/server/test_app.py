@@ -22,7 +22,8 @@ FORCE = {"t": [0.0, 0.1], "fx": [0, 0], "fy": [0, 0], "fz": [-9.8, -9.8]}
 def test_it_is_alive_and_ready(client):
     assert client.get("/healthz").json() == {"status": "ok"}
     answer = client.get("/readyz")
-    assert (answer.status_code, answer.json()) == (200, {"status": "ok", "failures": {}})
+    checks = dict.fromkeys(("draining", "database", "migrations", "store"), True)
+    assert (answer.status_code, answer.json()) == (200, {"status": "ok", "failures": {}, "checks": checks})
 
 
 def test_readiness_names_what_is_not(settings, clock, serve, database):
