@@ -30,6 +30,7 @@ from server.installations import routes as installations
 from server.limits import BodyLimit, TokenBuckets
 from server.live import routes as live
 from server.migrations import serves
+from server.operations import routes as operations
 from server.pages import accounts as account_pages
 from server.pages import fleet_routes, templating
 from server.pages import routes as pages
@@ -121,6 +122,7 @@ def create_app(settings: Settings, *, clock: Clock = utc_now) -> FastAPI:
         signals,
         tickets,
         replay,
+        operations,
         proxy,
         pages,
         fleet_routes,

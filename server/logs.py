@@ -9,6 +9,7 @@ from __future__ import annotations
 import logging
 import re
 import sys
+from typing import Any
 
 import structlog
 
@@ -29,7 +30,7 @@ def redact(text: str) -> str:
     return _SECRETS.sub(lambda match: f"{next(filter(None, match.groups()))}[redacted]", text)
 
 
-def _redacted(logger: object, name: str, line: object) -> object:
+def _redacted(logger: object, name: str, line: Any) -> Any:  # structlog's own signature of a processor
     del logger, name
     return redact(line) if isinstance(line, str) else line
 

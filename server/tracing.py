@@ -67,8 +67,13 @@ def known(words: Mapping[str, object]) -> Carried:
 def request_span(headers: Mapping[str, str], method: str) -> Generator[Span]:
     """A span around a request, below the caller's where it named one."""
     parent = _propagator.extract(known(headers))
-    options = {"context": parent, "kind": SpanKind.SERVER, "attributes": {"http.request.method": method}}
-    with tracer.start_as_current_span(method, record_exception=False, **options) as span:
+    with tracer.start_as_current_span(
+        method,
+        context=parent,
+        kind=SpanKind.SERVER,
+        attributes={"http.request.method": method},
+        record_exception=False,  # its text may hold what a caller sent
+    ) as span:
         yield span
 
 
@@ -83,6 +88,7 @@ def job_span(name: str, words: Carried, *, job_id: str, device_id: str, queue: s
             name,
             context=parent,
             kind=SpanKind.CONSUMER,
+            record_exception=False,
             attributes={"scatola.job_id": job_id, "scatola.device_id": device_id, "scatola.queue": queue},
         ) as span,
     ):

@@ -107,6 +107,8 @@ RawReader = Annotated[Caller, Depends(looks_at("raw.read"))]
 Reviewer = Annotated[Caller, Depends(needs("events.review"))]
 UserManager = Annotated[Caller, Depends(needs("users.manage"))]
 AuditReader = Annotated[Caller, Depends(needs("audit.read"))]
+Exporter = Annotated[Caller, Depends(needs("export"))]
+JobManager = Annotated[Caller, Depends(needs("jobs.manage"))]
 Operator = Annotated[Caller, Depends(operator)]
 DeviceCaller = Annotated[Caller, Depends(device_caller)]
 
@@ -116,7 +118,9 @@ __all__ = [
     "AuditReader",
     "Caller",
     "DeviceCaller",
+    "Exporter",
     "Installer",
+    "JobManager",
     "LocationReader",
     "Operator",
     "RawReader",

@@ -13,6 +13,8 @@ Permission = Literal[
     "events.review",  # say what an event was, order and end legal holds
     "users.manage",  # people, API keys
     "audit.read",  # who did and saw what
+    "export",  # tracks, events and samples of many vehicles at once
+    "jobs.manage",  # work that keeps failing, re-runs by another version
 ]
 PERMISSIONS: tuple[Permission, ...] = get_args(Permission)
 ALL: frozenset[Permission] = frozenset(PERMISSIONS)

@@ -303,6 +303,13 @@ def _shift(found: list[tuple[float, str]]) -> Shift:
     )
 
 
+def counts(session: Session, run_ids: Sequence[str]) -> tuple[int, int]:
+    """Events of some runs that are done, and all."""
+    query = select(func.count(RerunItem.done_at), func.count()).where(RerunItem.rerun_id.in_(run_ids))
+    done, total = session.execute(query).one()
+    return done, total
+
+
 def told(found: Report) -> dict[str, Any]:
     """A report for JSON."""
     return asdict(found)

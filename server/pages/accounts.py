@@ -45,6 +45,8 @@ PERMISSION_WORDS: dict[Permission, str] = {
     "events.review": marked("review events and hold them for a claim"),
     "users.manage": marked("add people and API keys"),
     "audit.read": marked("read the audit log"),
+    "export": marked("take out tracks, events and samples in bulk"),
+    "jobs.manage": marked("see and replay work that fails, run events again"),
 }
 
 Text = Annotated[str, Form(max_length=500)]
