@@ -62,7 +62,7 @@ class Readiness:
 
 
 def _look(database: Database, store: BlobStore) -> dict[str, Check]:
-    found = dict.fromkeys(("database", "migrations", "store"), Check(None))
+    found: dict[str, Check] = {name: Check(None) for name in ("database", "migrations", "store")}
     try:
         database.ping()
         if not serves(database.engine):

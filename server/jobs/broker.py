@@ -10,7 +10,7 @@ from __future__ import annotations
 import datetime as dt
 import json
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
@@ -20,7 +20,7 @@ import pika.exceptions
 import structlog
 from dramatiq.brokers.rabbitmq import RabbitmqBroker
 from dramatiq.common import dq_name, xq_name
-from dramatiq.middleware import CurrentMessage, Retries, ShutdownNotifications
+from dramatiq.middleware import CurrentMessage, Middleware, Retries, ShutdownNotifications
 
 from server.database import Database
 from server.jobs.due import due_devices
@@ -52,13 +52,16 @@ log = structlog.stdlib.get_logger("scatola.broker")
 def make_broker(url: str) -> RabbitmqBroker:
     """A broker with what is needed: retries with backoff, then the dead-letter queue."""
     retries = Retries(max_retries=MAX_RETRIES, min_backoff=BACKOFF_MS[0], max_backoff=BACKOFF_MS[1])
-    middleware = [ShutdownNotifications(), CurrentMessage(), retries]
+    middleware: list[Middleware] = [ShutdownNotifications(), CurrentMessage(), retries]
     return RabbitmqBroker(url=url, confirm_delivery=True, middleware=middleware)
 
 
-def message_for(device_id: str, queue: str, actor: str = ACTOR, **options: object) -> dramatiq.Message[None]:
+def message_for(
+    device_id: str, queue: str, actor: str = ACTOR, options: Mapping[str, object] | None = None
+) -> dramatiq.Message[None]:
     """The message that a device is due; `options` are Dramatiq's, and the words that the job carries."""
-    return dramatiq.Message(queue_name=queue, actor_name=actor, args=(device_id,), kwargs={}, options=options)
+    said = dict(options or {})
+    return dramatiq.Message(queue_name=queue, actor_name=actor, args=(device_id,), kwargs={}, options=said)
 
 
 class Sender:
@@ -105,7 +108,7 @@ class Sender:
             with self._changed:
                 words = self._waiting.pop(device_id)
             try:
-                broker.enqueue(message_for(device_id, self._queue, self._actor, **words))
+                broker.enqueue(message_for(device_id, self._queue, self._actor, words))
                 pause = RECONNECT_S[0]
             except Exception:
                 # Whatever the broker does, an upload must not feel it.
@@ -195,8 +198,8 @@ class Sweep:
             due = due_devices(session, SWEEP_DEVICES, now=now)
         devices = [device_id for device_id in due if device_id not in self._sent and device_id not in held]
         for device_id in devices:
-            options = {"max_retries": 0} if device_id in given_up else {}
-            self._broker.enqueue(message_for(device_id, self._queue, **options))
+            options: dict[str, object] = {"max_retries": 0} if device_id in given_up else {}
+            self._broker.enqueue(message_for(device_id, self._queue, options=options))
             self._sent[device_id] = now
         return len(devices)
 
@@ -213,7 +216,7 @@ class Queues:
         self._names = names
 
     @contextmanager
-    def _connection(self) -> Iterator[Any]:  # pika is untyped
+    def _connection(self) -> Generator[Any]:  # pika is untyped
         try:
             connection = pika.BlockingConnection(self._parameters)
             try:
