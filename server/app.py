@@ -18,6 +18,7 @@ from server.accounts import user_routes as users
 from server.accounts.audit import RecentLooks
 from server.accounts.gate import AccessGate
 from server.accounts.service import ensure_organisation
+from server.bulk import routes as bulk
 from server.database import Database
 from server.devices import box_routes as boxes
 from server.devices import routes as devices
@@ -123,6 +124,7 @@ def create_app(settings: Settings, *, clock: Clock = utc_now) -> FastAPI:
         tickets,
         replay,
         operations,
+        bulk,
         proxy,
         pages,
         fleet_routes,

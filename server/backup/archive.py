@@ -92,7 +92,7 @@ def backup(settings: Settings, out: Path, *, now: dt.datetime, say: Say = lambda
             report = Report(revision)
             for table in found:
                 say(f"{table.name} ...")
-                report.tables[table.name] = _dump(table.name, rows(connection, table), partial / "tables")
+                report.tables[str(table.name)] = _dump(table.name, rows(connection, table), partial / "tables")
             keys = partial / "keys"
             with keys.open("w", encoding="utf-8") as file:
                 file.writelines(f"{key}\n" for key in blob_keys(connection, found))
@@ -204,7 +204,7 @@ def restore(settings: Settings, source: Path, *, say: Say = lambda _: None) -> R
             wanted = manifest["tables"].get(table.name, {"rows": 0})
             if content.rows != wanted["rows"] or content.told()["sum"] != wanted.get("sum", content.told()["sum"]):
                 raise BackupError(f"table {table.name} reads back as other rows than were backed up")
-            report.tables[table.name] = content.told()
+            report.tables[str(table.name)] = content.told()
     if report.content_sha256 != manifest["content_sha256"]:
         raise BackupError("the content is not what the manifest says")
     return report

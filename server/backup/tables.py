@@ -54,7 +54,8 @@ def rows(connection: Connection, table: Table) -> Iterator[Row]:
     """All rows, a thousand in memory at a time; in no order."""
     streaming = connection.execution_options(yield_per=_AT_ONCE)
     for row in streaming.execute(select(table)).mappings():
-        yield {column.name: _to_json(column, row[column]) for column in table.columns}
+        # `str`: a name that a database gave is a kind of its own, which JSON does not take.
+        yield {str(column.name): _to_json(column, row[column]) for column in table.columns}
 
 
 def blob_keys(connection: Connection, found: Iterable[Table]) -> Iterator[str]:
