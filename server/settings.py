@@ -11,8 +11,10 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import platformdirs
-from pydantic import Field, SecretStr, field_validator
+from pydantic import Field, SecretStr, field_validator, model_validator
 from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
+
+SECRETS = ("database_url", "broker_url", "blob_url", "admin_token")
 
 
 def _default_data_dir() -> Path:
@@ -51,6 +53,19 @@ class Settings(BaseSettings):
     otlp_endpoint: str | None = None
     log_json: bool = False
     log_level: Literal["debug", "info", "warning", "error"] = "info"
+
+    @model_validator(mode="before")
+    @classmethod
+    def _read_files(cls, given: dict[str, object]) -> dict[str, object]:
+        """A secret may stand in a file of its own, which SCATOLA_<NAME>_FILE names; the variable itself wins."""
+        for name in SECRETS:
+            path = os.environ.get(f"SCATOLA_{name.upper()}_FILE")
+            if path and name not in given:
+                try:
+                    given[name] = Path(path).read_text(encoding="utf-8").strip()
+                except (OSError, UnicodeError) as error:
+                    raise ValueError(f"SCATOLA_{name.upper()}_FILE: {path} cannot be read: {error}") from error
+        return given
 
     @field_validator("trusted_origins", mode="before")
     @classmethod
