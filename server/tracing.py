@@ -30,7 +30,7 @@ tracer = trace.get_tracer("scatola")
 
 def configure_tracing(settings: Settings, role: str) -> Callable[[], None]:
     """Send spans to the settings' endpoint, if there is one; gives what flushes them at the end."""
-    if settings.otlp_endpoint is None:
+    if not settings.otlp_endpoint:
         return lambda: None
     try:
         from opentelemetry.exporter.otlp.proto.http.trace_exporter import OTLPSpanExporter

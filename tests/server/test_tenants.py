@@ -39,8 +39,11 @@ from server.models import (
     Event,
     EventAction,
     Installation,
+    JobFailure,
     MountingRevision,
     Organisation,
+    Rerun,
+    RerunItem,
     SequenceRun,
     SignInCode,
     TrackPoint,
@@ -64,7 +67,7 @@ def fill(session: Session, store: BlobStore, name: str) -> dict[str, str]:
     ids = {
         kind: f"{name}{number}" * 16
         for number, kind in enumerate(("vehicle", "device", "trip", "user", "key", "request", "event"), 1)
-    }
+    } | {"rerun": f"{name}a" * 16}
     rest = {kind: f"{name}{number}" * 16 for number, kind in enumerate(("batch", "installation"), 8)}
     org = organisation.id
     columns = Columns({"t": np.array([0.0, 1.0]), **dict.fromkeys(("fx", "fy", "fz"), np.zeros(2))})
@@ -208,6 +211,17 @@ def fill(session: Session, store: BlobStore, name: str) -> dict[str, str]:
                 algorithm="x",
                 input_sha256="",
             ),
+            JobFailure(
+                device_id=ids["device"],
+                failures=9,
+                first_at=AT,
+                last_at=AT,
+                dead_at=AT,
+                error=f"of {name}",
+                queue="devices",
+                job_id="j",
+            ),
+            Rerun(id=ids["rerun"], organisation_id=org, created_at=AT, created_by=f"of {name}", algorithm="x", total=1),
             TrackPoint(trip_id=ids["trip"], t_s=0.0, at=AT, lat_deg=45.0, lon_deg=11.0),
             ChainSeal(device_id=ids["device"], chain_length=1, chain_head="", sealed_at=AT),
         ]
@@ -234,6 +248,7 @@ def fill_event(session: Session, ids: dict[str, str], note: str) -> None:
         note=note,
     )
     session.add(EventAction(event_id=ids["event"], at=AT, actor=note, action="reopened", note=note))
+    session.add(RerunItem(rerun_id=ids["rerun"], event_id=ids["event"], ordinal=0, error=note))
 
 
 @dataclass
@@ -433,6 +448,8 @@ def test_each_role_does_what_it_may_and_no_more(app, serve, tenants, clock):
                 ("PUT", "/api/v1/events/{event_id}/review"),
                 ("PUT", "/api/v1/events/{event_id}/hold"),
                 ("POST", "/api/v1/events/{event_id}/view-ticket"),
+                ("POST", "/api/v1/jobs/failures/replay"),
+                ("POST", "/api/v1/reruns"),
                 ("POST", "/events/{event_id}/review"),
                 ("POST", "/events/{event_id}/hold"),
             ):
