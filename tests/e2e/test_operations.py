@@ -105,10 +105,10 @@ def test_an_upload_is_followed_through_log_trace_and_figures(serving, collector)
     headers = {"Authorization": f"Bearer {token}", "Idempotency-Key": "secret-boot/0", "X-Request-ID": "upload-1"}
     httpx.post(f"{service.url}/api/v1/batches", json=BATCH, headers=headers).raise_for_status()
     # What a log must not hold: tokens in every place where one may turn up, codes, cookies, a body.
-    with httpx.Client(base_url=service.url) as browser:
+    with httpx.Client(base_url=service.url, timeout=30) as browser:
         cookie = browser.post("/api/v1/auth/session", json={"code": ADMIN}).cookies["scatola_session"]
         browser.get("/login?code=a-secret-code&next=/")
-        browser.get(f"/view3d/{'t' * 32}/{'0' * 32}/")
+        httpx.get(f"{service.url}/view3d/{'t' * 32}/{'0' * 32}/", timeout=30)
         browser.get(f"/api/v1/devices/{token}", headers={"Authorization": "Bearer wrong-secret-token"})
 
     def job() -> dict | None:
