@@ -66,5 +66,7 @@ def configure_logging(*, as_json: bool, level: str = "info") -> None:
     root.handlers[:] = [handler]
     root.setLevel(level.upper())
     # Libraries that tell every step of theirs at the level at which we tell of a request.
-    for name in ("alembic", "uvicorn", "httpx", "dramatiq", "pika", "websockets"):
+    for name in ("alembic", "uvicorn", "httpx", "dramatiq", "websockets"):
         logging.getLogger(name).setLevel(logging.WARNING)
+    # It warns of every queue that is asked for before anybody made it; what fails is told by who asked.
+    logging.getLogger("pika").setLevel(logging.ERROR)

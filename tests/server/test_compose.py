@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import signal
 import subprocess
 import sys
 import urllib.request
@@ -168,7 +169,8 @@ def test_the_commands_run_as_written_outside_containers(compose, request, tmp_pa
                 process.wait(15)
             except subprocess.TimeoutExpired:
                 process.kill()
-    assert {name: process.returncode for name, process in running.items()} == dict.fromkeys(running, 0), log.read_text()
+    # uvicorn raises the signal again once it has ended in order.
+    assert all(process.returncode in (0, -signal.SIGTERM) for process in running.values()), log.read_text()
     assert "administrator-of-compose" not in log.read_text()
 
 
