@@ -19,7 +19,7 @@ _SECRETS = re.compile(
     r"(://[^:/@\s]*:)[^@/\s]+(?=@)"
     r"|(\b(?:bearer|scatola-hmac-sha256)\s+)[^\s\"',\\]+"
     r"|(\bsc[a-z]_)[A-Za-z0-9_-]{8,}"
-    r"|(\b(?:scatola_session|code|token|password|secret|csrf_token)=)[^\s&;\"',\\]+"
+    r"|(\b(?:scatola_session|code|token|password|secret|csrf_token|signature)=)[^\s&;\"',\\]+"
     r"|(/view3d/)[A-Za-z0-9_-]{16,}",
     re.IGNORECASE,
 )

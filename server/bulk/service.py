@@ -81,7 +81,7 @@ class Wanted:
 
 def export(database: Database, store: BlobStore, wanted: Wanted) -> Iterator[bytes]:
     """The file's bytes, in pieces."""
-    notes: dict[str, str] = {"scatola": orjson.dumps({"kind": wanted.kind, **wanted.told()}).decode()}
+    notes: dict[str, str] = {"kind": wanted.kind}
     if wanted.kind == "tracks":
         return _parquet(TRACKS, _tracks(database, wanted), notes)
     if wanted.kind == "events":

@@ -32,6 +32,7 @@ def reprocess(args: argparse.Namespace) -> int:
     set_numba_cache_dir()
     from server.database import Database
     from server.jobs.rerun import begin_everywhere, report
+    from server.models import Rerun
 
     database = Database(Settings())
     try:
@@ -40,8 +41,9 @@ def reprocess(args: argparse.Namespace) -> int:
             with database.transaction() as session:
                 runs = begin_everywhere(session, device_id=args.device, by="command line", now=utc_now())
         with database.reading() as session:
-            for run in runs:
-                report(session, run)  # raises when there is none
+            unknown = [run for run in runs if session.get(Rerun, run) is None]
+        if unknown:
+            raise ValueError(f"there is no run {unknown[0]}")
         if not args.report:
             _work_off(database, runs, args.jobs)
         with database.reading() as session:

@@ -89,9 +89,10 @@ def run_worker(
     reruns = Reruns(database, store, clock)
     try:
         while not stop.is_set():
+            rounds.told.update(_listen(stop, wake_fd, 0.0))
             # Re-runs take what is left: after each event it is asked again what is due.
             if not rounds.once(stop) and not reruns.once():
-                rounds.told.update(_wait(stop, wake_fd))
+                rounds.told.update(_listen(stop, wake_fd, LOOK_S))
     finally:
         stop.set()
         keeper.join()
@@ -203,16 +204,16 @@ def start_sealing(
     return thread
 
 
-def _wait(stop: threading.Event, wake_fd: int | None) -> dict[str, Carried]:
-    """Wait for a line in the pipe, or a moment; the pipe's end is the supervisor's.
+def _listen(stop: threading.Event, wake_fd: int | None, seconds: float) -> dict[str, Carried]:
+    """Wait so long for a line in the pipe; the pipe's end is the supervisor's.
 
     A line may name a device and the request behind it.  One that a full pipe cut short is none: the database says
     what is due, and only the log and the trace are the poorer for it.
     """
     if wake_fd is None:
-        stop.wait(LOOK_S)
+        stop.wait(seconds)
         return {}
-    ready, _, _ = select.select([wake_fd], [], [], LOOK_S)
+    ready, _, _ = select.select([wake_fd], [], [], seconds)
     if not ready:
         return {}
     said = os.read(wake_fd, 65536)
