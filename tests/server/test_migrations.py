@@ -179,10 +179,10 @@ def test_the_version_before_still_reads_and_writes(empty, before):
     tables_before = [table for table in known.sorted_tables if table.name != "alembic_version"]
     upgrade(empty, new)
     engine = make_engine(empty)
-    inspector = sa.inspect(engine)
+    rows = {table: row_of(table, sa.inspect(engine)) for table in tables_before}
     with engine.begin() as connection:
-        for table in tables_before:
-            connection.execute(table.insert().values(row_of(table, inspector)))
+        for table, row in rows.items():
+            connection.execute(table.insert().values(row))
         for table in tables_before:
             (row,) = connection.execute(sa.select(table)).all()
             assert len(row) == len(table.columns)
