@@ -164,7 +164,7 @@ def run_consumer(
         broker.close()
         for thread in (keeper, rerunner, sealer):
             if thread is not None:
-                thread.join()
+                thread.join(2.0)  # an event that is being computed again is left: its lease runs out
         database.dispose()
 
 
