@@ -65,9 +65,9 @@ vendor: node_modules/ready  ## Copy the pinned front-end libraries into web/vend
 
 lock: .venv/ready  ## Pin the requirements anew (hashes, no index addresses)
 	$(BIN)/uv pip compile -q --universal --python-version 3.11 --generate-hashes --no-annotate --no-header \
-	  --extra server --extra test pyproject.toml requirements/build.in -o requirements/dev.txt
+	  --extra server --extra tracing --extra test pyproject.toml requirements/build.in -o requirements/dev.txt
 	$(BIN)/uv pip compile -q --universal --python-version 3.11 --generate-hashes --no-annotate --no-header \
-	  --extra server pyproject.toml requirements/build.in -o requirements/server.txt
+	  --extra server --extra tracing pyproject.toml requirements/build.in -o requirements/server.txt
 
 clean:  ## Remove what setup and tests made; keeps data
 	rm -rf .venv node_modules artifacts .pytest_cache .ruff_cache .hypothesis .import_linter_cache

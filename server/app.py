@@ -19,6 +19,7 @@ from server.accounts.audit import RecentLooks
 from server.accounts.gate import AccessGate
 from server.accounts.service import ensure_organisation
 from server.alerts import routes as alerts
+from server.bulk import routes as bulk
 from server.contradictions import routes as contradictions
 from server.database import Database
 from server.devices import box_routes as boxes
@@ -32,7 +33,8 @@ from server.ingest import routes as ingest
 from server.installations import routes as installations
 from server.limits import BodyLimit, TokenBuckets
 from server.live import routes as live
-from server.migrations import is_current
+from server.migrations import serves
+from server.operations import routes as operations
 from server.pages import accounts as account_pages
 from server.pages import alerts as alert_pages
 from server.pages import fleet_routes, templating
@@ -70,7 +72,7 @@ def _nobody_to_wake(device_id: str) -> None:
 async def _lifespan(app: FastAPI) -> AsyncGenerator[None]:
     def prepare() -> None:
         database: Database = app.state.database
-        if not is_current(database.engine):
+        if not serves(database.engine):
             log.warning("the database is not migrated to this version")
             return
         with database.transaction() as session:
@@ -94,6 +96,14 @@ def create_app(settings: Settings, *, clock: Clock = utc_now) -> FastAPI:
         docs_url=None,
         redoc_url=None,
         swagger_ui_oauth2_redirect_url=None,
+        # The framework's own spans and records hold paths and queries, which carry tickets and codes; ours hold routes.
+        telemetry={
+            "tracing": False,
+            "metrics": False,
+            "logs": False,
+            "operation_spans": False,
+            "auto_configure": False,
+        },
     )
     state = app.state
     state.settings = settings
@@ -135,6 +145,8 @@ def create_app(settings: Settings, *, clock: Clock = utc_now) -> FastAPI:
         signals,
         tickets,
         replay,
+        operations,
+        bulk,
         proxy,
         pages,
         fleet_routes,

@@ -38,10 +38,30 @@ def head() -> str | None:
     return ScriptDirectory.from_config(_config()).get_current_head()
 
 
+def knows(revision: str) -> bool:
+    """Whether a revision is one of this version's."""
+    return any(script.revision == revision for script in ScriptDirectory.from_config(_config()).walk_revisions())
+
+
+def revision_of(connection: Connection) -> str | None:
+    """At which a database stands."""
+    return MigrationContext.configure(connection).get_current_revision()
+
+
 def is_current(engine: Engine) -> bool:
     """Whether a database stands at the newest revision."""
     with engine.execution_options(writes=False).connect() as connection:
         return MigrationContext.configure(connection).get_current_revision() == head()
+
+
+def serves(engine: Engine) -> bool:
+    """Whether this version works on a database: it is at the newest revision, or ahead by a newer version's.
+
+    Revisions are numbers.  A newer version only adds (docs/operations.md): it can migrate while this one serves.
+    """
+    with engine.execution_options(writes=False).connect() as connection:
+        found, newest = MigrationContext.configure(connection).get_current_revision(), head()
+    return found is not None and newest is not None and found.isdecimal() and found >= newest
 
 
 def upgrade(settings: Settings, revision: str = "head") -> None:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import datetime as dt
 import signal
 import socket
+import time
 from collections.abc import Callable
 from types import FrameType
 
+import structlog
 import uvicorn
 from fastapi import FastAPI
 
@@ -17,11 +20,15 @@ from server.app import create_app
 from server.database import Database
 from server.jobs.supervise import Child, Supervisor, scatola
 from server.live.hub import LiveHub
-from server.migrations import is_current, upgrade
+from server.logs import configure_logging
+from server.migrations import serves, upgrade
 from server.settings import Settings
-from server.telemetry import configure_logging
+from server.tracing import configure_tracing
+
+log = structlog.stdlib.get_logger("scatola.serve")
 
 _FINISH_REQUESTS_S, _FINISH_CHILDREN_S = 2, 7.0
+_FINISH_AFTER_DRAIN_S = 9.0
 """Together under the ten seconds in which everything is promised to have stopped."""
 
 
@@ -37,14 +44,16 @@ def serve(
     `more_children` are started beside worker and viewer once the address is known.
     """
     configure_logging(as_json=settings.log_json, level=settings.log_level)
+    flush = configure_tracing(settings, "api")
     if settings.embedded:
         upgrade(settings)
     app = create_app(settings)
-    if not is_current(app.state.database.engine):
+    if not serves(app.state.database.engine):
         raise ValueError("the database is not at this version's schema: run `scatola migrate` first")
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, _leave)
     with contextlib.ExitStack() as stack:
+        stack.callback(flush)
         sock = socket.create_server((settings.host, settings.port), reuse_port=False, backlog=1024)
         stack.callback(sock.close)
         url = _address(settings.host, sock.getsockname()[1])
@@ -54,13 +63,9 @@ def serve(
             app.state.wake = app.state.wake_burst = supervisor.wake
             stack.callback(supervisor.stop, _FINISH_CHILDREN_S)
             supervisor.start()
+            app.state.readiness.helpers["worker"] = lambda: None if supervisor.alive()["worker"] else "does not run"
         else:
-            from server.jobs.broker import BURST_ACTOR, BURSTS, Sender
-
-            app.state.wake = Sender(settings)
-            app.state.wake_burst = Sender(settings, queue=BURSTS, actor=BURST_ACTOR)
-            stack.callback(app.state.wake.close)
-            stack.callback(app.state.wake_burst.close)
+            _use_broker(app, stack)
 
         def greet() -> None:
             say(f"Scatola serves {url}")
@@ -74,13 +79,15 @@ def serve(
             access_log=False,  # our own log names routes, not paths: those may carry tickets and codes
             ws="websockets-sansio",
             ws_max_size=1024 * 1024,
-            timeout_graceful_shutdown=_FINISH_REQUESTS_S,
+            timeout_graceful_shutdown=(
+                _FINISH_REQUESTS_S if settings.embedded else int(_FINISH_AFTER_DRAIN_S - settings.drain_s)
+            ),
         )
         _Server(config, greet, app).run(sockets=[sock])
 
 
 class _Server(uvicorn.Server):
-    """Tells when it listens, and ends the live streams, which end by themselves never."""
+    """Tells when it listens; at the end drains, and ends the live streams, which end by themselves never."""
 
     def __init__(self, config: uvicorn.Config, started: Callable[[], None], app: FastAPI) -> None:
         super().__init__(config)
@@ -92,10 +99,51 @@ class _Server(uvicorn.Server):
         self._tell()
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
-        live: LiveHub | None = getattr(self._app.state, "live", None)
+        state = self._app.state
+        # First /readyz says so, while everything is served as before: who balances must notice before we are gone.
+        state.readiness.draining = True
+        deadline = time.monotonic() + state.settings.drain_s
+        while time.monotonic() < deadline and not self.force_exit:  # noqa: ASYNC110  set by a signal handler
+            await asyncio.sleep(0.05)
+        live: LiveHub | None = getattr(state, "live", None)
         if live is not None:
             live.close()
         await super().shutdown(sockets)
+
+
+def _use_broker(app: FastAPI, stack: contextlib.ExitStack) -> None:
+    """Send what is due to the broker, and show how it does."""
+    from server.jobs.broker import BURST_ACTOR, BURSTS, BrokerUnreachableError, Queues, Sender
+
+    state, settings = app.state, app.state.settings
+    state.wake = Sender(settings)
+    state.wake_burst = Sender(settings, queue=BURSTS, actor=BURST_ACTOR)
+    stack.callback(state.wake.close)
+    stack.callback(state.wake_burst.close)
+    queues = Queues(settings)
+
+    def failure() -> str | None:
+        try:
+            queues.check()
+        except BrokerUnreachableError as error:
+            return f"does not answer ({error})"
+        return None
+
+    def depths() -> dict[str, float] | None:
+        try:
+            return {name: float(count) for name, count in queues.depths().items()}
+        except BrokerUnreachableError:
+            return None
+
+    def drop_letters(device_ids: set[str]) -> None:
+        try:
+            queues.drop_letters(device_ids)
+        except BrokerUnreachableError:
+            log.warning("dead letters stay in the broker")  # they expire there, and say nothing new
+
+    state.readiness.helpers["broker"] = failure
+    state.queue_depths = depths
+    state.drop_letters = drop_letters
 
 
 def _children(app: FastAPI) -> list[Child]:

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import atexit
 import os
+import shutil
 import sys
+import tempfile
 from ipaddress import ip_network
 from pathlib import Path
 from typing import Annotated, Literal
 
 import platformdirs
-from pydantic import Field, SecretStr, field_validator
+from pydantic import Field, SecretStr, field_validator, model_validator
 from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
+
+SECRETS = ("database_url", "broker_url", "blob_url", "admin_token")
 
 
 def _default_data_dir() -> Path:
@@ -53,8 +58,25 @@ class Settings(BaseSettings):
     max_decoded_bytes: int = Field(default=64 * 1024 * 1024, gt=0)
     device_requests_per_minute: int = Field(default=600, gt=0)
     device_bytes_per_day: int = Field(default=2 * 1024**3, gt=0)
+    drain_seconds: float | None = Field(default=None, ge=0, le=8)
+    metrics_port: int | None = Field(default=None, ge=0, le=65535)
+    metrics_host: str = "127.0.0.1"
+    otlp_endpoint: str | None = None
     log_json: bool = False
     log_level: Literal["debug", "info", "warning", "error"] = "info"
+
+    @model_validator(mode="before")
+    @classmethod
+    def _read_files(cls, given: dict[str, object]) -> dict[str, object]:
+        """A secret may stand in a file of its own, which SCATOLA_<NAME>_FILE names; the variable itself wins."""
+        for name in SECRETS:
+            path = os.environ.get(f"SCATOLA_{name.upper()}_FILE")
+            if path and name not in given:
+                try:
+                    given[name] = Path(path).read_text(encoding="utf-8").strip()
+                except (OSError, UnicodeError) as error:
+                    raise ValueError(f"SCATOLA_{name.upper()}_FILE: {path} cannot be read: {error}") from error
+        return given
 
     @field_validator("trusted_origins", "webhook_networks", mode="before")
     @classmethod
@@ -76,6 +98,14 @@ class Settings(BaseSettings):
         return self.broker_url is None
 
     @property
+    def drain_s(self) -> float:
+        """How long the API answers 503 on /readyz before it takes no more connections.
+
+        A balancer in front of several needs the time to notice; an installation on its own has none.
+        """
+        return self.drain_seconds if self.drain_seconds is not None else 0.0 if self.embedded else 3.0
+
+    @property
     def database_dsn(self) -> str:
         """SQLAlchemy URL of the database; a bare postgresql:// is given the psycopg 3 driver."""
         if self.database_url is None:
@@ -85,6 +115,17 @@ class Settings(BaseSettings):
             if url.startswith(scheme):
                 return "postgresql+psycopg://" + url.removeprefix(scheme)
         return url
+
+
+def share_figures() -> None:
+    """Let the processes that this one starts count into the figures that it shows.
+
+    Before prometheus_client is imported.  The folder is of this run alone: an earlier run's counts are not shown.
+    """
+    if not os.environ.get("PROMETHEUS_MULTIPROC_DIR"):
+        folder = tempfile.mkdtemp(prefix="scatola-figures-")
+        atexit.register(shutil.rmtree, folder, ignore_errors=True)
+        os.environ["PROMETHEUS_MULTIPROC_DIR"] = folder
 
 
 def set_numba_cache_dir() -> None:

@@ -1,81 +1,67 @@
-"""Logs and figures: one line and one count per request, by route template and never by raw path.
+"""What is told of requests: one line and one count per request, by route template and never by raw path.
 
 A path may hold a view's ticket and a query a sign-in code, so neither is logged; nor are headers or bodies.
 """
 
 from __future__ import annotations
 
-import logging
-import re
-import sys
+import math
+import os
+import threading
 import time
 import uuid
 from collections.abc import Callable, Iterable
 
 import structlog
-from prometheus_client import CollectorRegistry, Counter, Histogram
+from prometheus_client import CollectorRegistry, Counter, Histogram, generate_latest
 from prometheus_client.core import GaugeMetricFamily
 from prometheus_client.metrics_core import Metric
+from prometheus_client.multiprocess import MultiProcessCollector
 from prometheus_client.registry import Collector
 from starlette.datastructures import MutableHeaders
 from starlette.requests import HTTPConnection
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from server.problems import InternalProblemError, problem_response
+from server.tracing import REQUEST_ID, failed, request_span
 
-_REQUEST_ID = re.compile(r"[A-Za-z0-9._-]{1,64}")
+Gauges = dict[str, tuple[str, float | dict[str, float]]]
+"""Name to what it is and its value, or its value by queue."""
+
+_UNTRACED = ("/healthz", "/readyz", "/metrics", "/static")
 _METHODS = frozenset({"GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"})
+
+GAUGES_LIFE_S = 2.0
 
 log = structlog.stdlib.get_logger("scatola")
 
 
-def configure_logging(*, as_json: bool, level: str = "info") -> None:
-    """One line per event on standard error, of our own and of the libraries that use `logging`."""
-    shared: list[structlog.typing.Processor] = [
-        structlog.contextvars.merge_contextvars,
-        structlog.stdlib.add_log_level,
-        structlog.processors.TimeStamper(fmt="iso", utc=True),
-    ]
-    render: structlog.typing.Processor = (
-        structlog.processors.JSONRenderer()
-        if as_json
-        else structlog.dev.ConsoleRenderer(
-            colors=sys.stderr.isatty(), exception_formatter=structlog.dev.plain_traceback
-        )
-    )
-    tail: list[structlog.typing.Processor] = [structlog.processors.format_exc_info] if as_json else []
-    structlog.configure(
-        processors=[*shared, structlog.stdlib.ProcessorFormatter.wrap_for_formatter],
-        wrapper_class=structlog.stdlib.BoundLogger,
-        logger_factory=structlog.stdlib.LoggerFactory(),
-        cache_logger_on_first_use=True,
-    )
-    formatter = structlog.stdlib.ProcessorFormatter(
-        foreign_pre_chain=shared,
-        processors=[structlog.stdlib.ProcessorFormatter.remove_processors_meta, *tail, render],
-    )
-    handler = logging.StreamHandler(sys.stderr)
-    handler.setFormatter(formatter)
-    root = logging.getLogger()
-    root.handlers[:] = [handler]
-    root.setLevel(level.upper())
-    # Libraries that tell every step of theirs at the level at which we tell of a request.
-    for name in ("alembic", "uvicorn", "httpx", "dramatiq", "pika", "websockets"):
-        logging.getLogger(name).setLevel(logging.WARNING)
-
-
 class Backlog(Collector):
-    """Gauges that are asked for when they are scraped."""
+    """Gauges that are asked for when they are scraped, but not of every one of many who ask at once."""
 
-    def __init__(self, ask: Callable[[], dict[str, tuple[str, float]]]) -> None:
+    def __init__(self, ask: Callable[[], Gauges]) -> None:
         self._ask = ask
+        self._lock = threading.Lock()
+        self._asked: float = -math.inf
+        self._found: Gauges = {}
 
     def describe(self) -> Iterable[Metric]:
         return ()
 
     def collect(self) -> Iterable[Metric]:
-        for name, (text, value) in self._ask().items():
-            yield GaugeMetricFamily(name, text, value=value)
+        with self._lock:
+            if time.monotonic() - self._asked > GAUGES_LIFE_S:
+                self._found = self._ask()
+                self._asked = time.monotonic()
+            found = self._found
+        for name, (text, value) in found.items():
+            if not isinstance(value, dict):
+                yield GaugeMetricFamily(name, text, value=value)
+                continue
+            family = GaugeMetricFamily(name, text, labels=("queue",))
+            for queue, count in value.items():
+                family.add_metric((queue,), count)
+            yield family
 
 
 class Telemetry:
@@ -93,10 +79,22 @@ class Telemetry:
         )
         self.batch_bytes = Counter("scatola_batch_bytes", "Bytes of accepted batches as sent", registry=self.registry)
         self.batch_rows = Counter("scatola_batch_rows", "Rows of accepted batches", registry=self.registry)
+        self.batch_readings = Counter(
+            "scatola_batch_readings", "Three-axis accelerometer readings of accepted batches", registry=self.registry
+        )
+        self._gauges = CollectorRegistry()
 
-    def watch(self, ask: Callable[[], dict[str, tuple[str, float]]]) -> None:
-        """Add gauges: name to what it is and its value."""
-        self.registry.register(Backlog(ask))
+    def watch(self, ask: Callable[[], Gauges]) -> None:
+        """Add gauges."""
+        self._gauges.register(Backlog(ask))
+
+    def render(self) -> bytes:
+        """The figures as Prometheus reads them: of all processes that count together, where several do."""
+        figures = self.registry
+        if os.environ.get("PROMETHEUS_MULTIPROC_DIR"):
+            figures = CollectorRegistry()
+            MultiProcessCollector(figures)
+        return generate_latest(figures) + generate_latest(self._gauges)
 
 
 def route_template(scope: Scope) -> str:
@@ -123,7 +121,7 @@ class RequestTelemetry:
             return
         connection = HTTPConnection(scope)
         given = connection.headers.get("x-request-id", "")
-        request_id = given if _REQUEST_ID.fullmatch(given) else uuid.uuid4().hex
+        request_id = given if REQUEST_ID.fullmatch(given) else uuid.uuid4().hex
         began = time.perf_counter()
         status = 0
 
@@ -137,7 +135,10 @@ class RequestTelemetry:
         structlog.contextvars.clear_contextvars()
         structlog.contextvars.bind_contextvars(request_id=request_id)
         try:
-            await self._app(scope, receive, observed)
+            if scope["path"].startswith(_UNTRACED):
+                await self._app(scope, receive, observed)
+            else:
+                await self._traced(scope, receive, observed, lambda: status)
         except Exception:
             log.exception("request failed", route=route_template(scope))
             if status:
@@ -147,6 +148,18 @@ class RequestTelemetry:
             )
         finally:
             self._count(scope, status, time.perf_counter() - began)
+
+    async def _traced(self, scope: Scope, receive: Receive, send: Send, status: Callable[[], int]) -> None:
+        method = scope["method"] if scope["method"] in _METHODS else "other"
+        with request_span(HTTPConnection(scope).headers, method) as span:
+            try:
+                await self._app(scope, receive, send)
+            finally:
+                route = route_template(scope)
+                span.update_name(f"{method} {route}")
+                span.set_attributes({"http.route": route, "http.response.status_code": status()})
+                if status() >= 500:
+                    failed(span, f"status {status()}")
 
     def _count(self, scope: Scope, status: int, seconds: float) -> None:
         method = scope["method"] if scope["method"] in _METHODS else "other"

@@ -123,6 +123,8 @@ UserManager = Annotated[Caller, Depends(needs("users.manage"))]
 PrivacyManager = Annotated[Caller, Depends(needs("privacy.manage"))]
 PrivacyExporter = Annotated[Caller, Depends(needs("privacy.export"))]
 AuditReader = Annotated[Caller, Depends(needs("audit.read"))]
+Exporter = Annotated[Caller, Depends(needs("export"))]
+JobManager = Annotated[Caller, Depends(needs("jobs.manage"))]
 Operator = Annotated[Caller, Depends(operator)]
 DeviceCaller = Annotated[Caller, Depends(device_caller)]
 
@@ -132,7 +134,9 @@ __all__ = [
     "AuditReader",
     "Caller",
     "DeviceCaller",
+    "Exporter",
     "Installer",
+    "JobManager",
     "LocationReader",
     "Operator",
     "PlaceReader",

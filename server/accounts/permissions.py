@@ -16,6 +16,8 @@ Permission = Literal[
     "audit.read",  # who did and saw what
     "privacy.manage",  # how long data are kept, what is erased
     "privacy.export",  # everything that is held about a vehicle or a user, in one file
+    "export",  # tracks, events and samples of many vehicles at once
+    "jobs.manage",  # work that keeps failing, re-runs by another version
 ]
 PERMISSIONS: tuple[Permission, ...] = get_args(Permission)
 ALL: frozenset[Permission] = frozenset(PERMISSIONS)

@@ -12,11 +12,12 @@ import time
 
 import platformdirs
 
-from server.settings import Settings, set_numba_cache_dir
+from server.settings import Settings, set_numba_cache_dir, share_figures
 
 
 def demo(args: argparse.Namespace) -> int:
     """Serve, with the fleet as one more supervised child."""
+    share_figures()
     from server.accounts.service import ensure_organisation, new_sign_in_code
     from server.cli.processes import say
     from server.database import Database

@@ -6,6 +6,7 @@ Status 0 with a result, 1 with one clear line on standard error for bad data, 2 
 from __future__ import annotations
 
 import argparse
+import datetime as dt
 import importlib
 import math
 import sys
@@ -143,6 +144,26 @@ def _add_file_commands(add: Add) -> None:
     _add_upload(add)
 
 
+def moment(text: str) -> dt.datetime:
+    """Type of an argument that is a time; UTC unless it says otherwise."""
+    try:
+        found = dt.datetime.fromisoformat(text)
+        return (found.replace(tzinfo=dt.UTC) if found.tzinfo is None else found).astimezone(dt.UTC)
+    except (ValueError, OverflowError):
+        raise argparse.ArgumentTypeError(f"{text!r} is no time such as 2026-03-01T12:00Z") from None
+
+
+def _add_export(add: Add) -> None:
+    export = add("export", "export:export", "Take out tracks, events or samples of a time as one Parquet file.")
+    export.add_argument("kind", choices=("tracks", "events", "samples"))
+    export.add_argument("out", type=Path, metavar="OUT.parquet")
+    export.add_argument("--organisation", metavar="ID", help="needed where there are several")
+    export.add_argument("--device", metavar="ID", help="one box alone; default: all")
+    export.add_argument("--from", dest="since", type=moment, metavar="TIME", help="ISO 8601, UTC unless it says")
+    export.add_argument("--to", dest="until", type=moment, metavar="TIME", help="same; not included")
+    export.add_argument("--json", action="store_true")
+
+
 def _add_upload(add: Add) -> None:
     upload = add("upload", "upload:upload", "Upload a drive file as a box would; resumes where it stopped.")
     upload.add_argument("drive", type=Path, nargs="?", metavar="DRIVE", help="default: send what is queued already")
@@ -235,6 +256,9 @@ def _add_service_commands(add: Add) -> None:
         "reprocess", "reprocess:reprocess", "Compute severe events again from their inputs; new numbers revise."
     )
     reprocess.add_argument("--device", metavar="ID", help="one box alone; default: all")
+    reprocess.add_argument("--jobs", type=int, default=1, help="processes that share the work; default: %(default)s")
+    reprocess.add_argument("--resume", metavar="RUN", help="go on with a run that was stopped")
+    reprocess.add_argument("--report", metavar="RUN", help="only show a run, as far as it has come")
     reprocess.add_argument("--json", action="store_true")
     erase = add("erase", "erase:erase", "Erase what is held about a vehicle or a person; prints a certificate.")
     erase.add_argument("kind", choices=("vehicle", "user"))
@@ -244,6 +268,19 @@ def _add_service_commands(add: Add) -> None:
     erase.add_argument("--to", dest="until", metavar="TIME", help="a vehicle's data until then; default: all")
     erase.add_argument("--dry-run", action="store_true", help="only say what would be erased and what would be kept")
     erase.add_argument("--json", action="store_true")
+    back = add("backup", "backup:backup", "Back up database and blobs into a folder, beside a running service.")
+    back.add_argument("out", type=Path, metavar="OUT", help="folder to make")
+    back.add_argument("--json", action="store_true")
+    bring = add("restore", "backup:restore", "Bring a backup back into an empty installation, SQLite or PostgreSQL.")
+    bring.add_argument("source", type=Path, metavar="IN", help="folder that backup made")
+    bring.add_argument("--json", action="store_true")
+    doctor = add("doctor", "doctor:doctor", "Look at everything this installation rests on; status 1 at a fault.")
+    doctor.add_argument("--json", action="store_true")
+    _add_export(add)
+    letters = add("dead-letters", "dead_letters:dead_letters", "Boxes whose work keeps failing; try them again.")
+    letters.add_argument("--replay", metavar="DEVICE", action="append", help="try a box again now; may be repeated")
+    letters.add_argument("--replay-all", action="store_true", help="try all dead letters again now")
+    letters.add_argument("--json", action="store_true")
     demo = add("demo", "demo:demo", "The service and a simulated fleet that uploads to it.")
     demo.add_argument("--speed", type=float, default=30.0, help="how much faster than life the past is replayed")
     demo.add_argument("--history-minutes", type=float, default=40.0, help="how far back the fleet begins")

@@ -9,7 +9,7 @@ import tempfile
 import threading
 from pathlib import Path
 
-from server.settings import Settings, set_numba_cache_dir
+from server.settings import Settings, set_numba_cache_dir, share_figures
 
 say = functools.partial(print, flush=True)
 
@@ -17,9 +17,12 @@ say = functools.partial(print, flush=True)
 def serve(args: argparse.Namespace) -> int:
     """`scatola serve`."""
     del args
+    settings = Settings()
+    if settings.embedded:
+        share_figures()
     from server.serve import serve as run
 
-    run(Settings(), say=say)
+    run(settings, say=say)
     return 0
 
 
@@ -28,18 +31,23 @@ def worker(args: argparse.Namespace) -> int:
     del args
     set_numba_cache_dir()
     from server.jobs.worker import run
-    from server.telemetry import configure_logging
+    from server.logs import configure_logging
+    from server.tracing import configure_tracing
 
     settings = Settings()
     configure_logging(as_json=settings.log_json, level=settings.log_level)
-    run(settings)
+    flush = configure_tracing(settings, "worker")
+    try:
+        run(settings)
+    finally:
+        flush()
     return 0
 
 
 def viewer(args: argparse.Namespace) -> int:
     """`scatola viewer`."""
     from server.jobs.supervise import follow_parent
-    from server.telemetry import configure_logging
+    from server.logs import configure_logging
     from server.view3d.viewer import run_viewer
 
     settings = Settings()

@@ -51,6 +51,12 @@ def events(session: Session, organisation_id: str, **wanted: Any) -> Sequence[Ev
     return session.scalars(selection(organisation_id, **wanted)).all()
 
 
+def severe(device_id: str | None) -> Select[str]:
+    """Ids of the events that are reconstructed, the oldest first."""
+    query = select(Event.id).where(Event.severe, *LISTED).order_by(Event.at, Event.id)
+    return query if device_id is None else query.where(Event.device_id == device_id)
+
+
 def event_of(session: Session, organisation_id: str, event_id: str, *, lock: bool = False) -> Event:
     """An event of the organisation, its row locked when it is going to change; a withdrawn one too."""
     event = session.get(Event, event_id, with_for_update=lock)

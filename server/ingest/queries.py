@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
-from server.models import Batch, SequenceRun
+from server.models import Batch, JobFailure, SequenceRun
 
 MAX_RANGES = 100
 
@@ -38,6 +38,12 @@ def backlog(session: Session) -> Backlog:
         )
     ).one()
     return Backlog(batches=due[0], devices=due[1], oldest_at=due[2])
+
+
+def failing(session: Session) -> tuple[int, int]:
+    """Boxes whose work failed last time, and how many of them are dead letters."""
+    counts = session.execute(select(func.count(), func.count(JobFailure.dead_at)).select_from(JobFailure)).one()
+    return counts[0], counts[1]
 
 
 def progress(session: Session, device_id: str, stream: str, boot: str) -> Progress:

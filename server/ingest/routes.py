@@ -25,6 +25,7 @@ from server.problems import described
 from server.settings import Settings
 from server.store import BlobStore, blob_key
 from server.telemetry import Telemetry
+from server.tracing import tracer
 
 PATH = "/api/v1/batches"
 # A box on a bad link is slow, but one that stops in the middle must not hold a connection for ever.
@@ -93,16 +94,17 @@ async def upload(
         raise UnauthenticatedError("The body is not the one that was signed", code="signature")
     sent = _Sent(key, media_type, notes, len(packed))
 
-    def work() -> tuple[Acknowledgement, int]:
+    def work() -> tuple[Acknowledgement, int, int]:
         body = unpack(packed, encoding, max_bytes=settings.max_decoded_bytes)
         return _store(settings, database, store, caller, sent, body, now)
 
-    answer, rows = await to_thread.run_sync(work, limiter=cast("CapacityLimiter", state.upload_slots))
+    answer, rows, readings = await to_thread.run_sync(work, limiter=cast("CapacityLimiter", state.upload_slots))
     telemetry = cast("Telemetry", state.telemetry)
     telemetry.batches.labels("duplicate" if answer.duplicate else "accepted").inc()
     if not answer.duplicate:
         telemetry.batch_bytes.inc(len(packed))
         telemetry.batch_rows.inc(rows)
+        telemetry.batch_readings.inc(readings)
         wake = state.wake_burst if key.stream == "burst" else state.wake
         cast("Wake", wake)(cast("str", caller.device_id))
     return answer
@@ -134,8 +136,8 @@ def _store(
     sent: _Sent,
     body: bytes,
     now: dt.datetime,
-) -> tuple[Acknowledgement, int]:
-    """The answer, and how many rows are new."""
+) -> tuple[Acknowledgement, int, int]:
+    """The answer, how many rows are new, and how many of them have an accelerometer reading."""
     device_id, key, media_type = cast("str", caller.device_id), sent.key, sent.media_type
     sha256 = service.body_sha256(body)
     with database.reading() as session:
@@ -145,12 +147,14 @@ def _store(
             limit, burst = settings.device_bytes_per_day, key.stream == "burst"
             check_quota(session, device_id, sent.size, limit=limit, burst=burst, now=now)
     if stored is not None:
-        return _answer(database, device_id, sent, stored.id, now, duplicate=True), 0
-    columns = decode(media_type, body, max_decoded_bytes=settings.max_decoded_bytes)
+        return _answer(database, device_id, sent, stored.id, now, duplicate=True), 0, 0
+    with tracer.start_as_current_span("decode"):
+        columns = decode(media_type, body, max_decoded_bytes=settings.max_decoded_bytes)
     column_sha256 = columns.column_sha256()
     parquet = columns.to_parquet()
     stored_key = blob_key(caller.organisation_id, device_id, column_sha256, "parquet")
-    store.put(stored_key, parquet)
+    with tracer.start_as_current_span("store blob"):
+        store.put(stored_key, parquet)
     keeps = key.stream == "burst" or service.may_hold_a_blow(columns)
     body_key = blob_key(caller.organisation_id, device_id, sha256, "body") if keeps else None
     if body_key is not None:
@@ -167,10 +171,11 @@ def _store(
         sent_bytes=sent.size,
         notes=sent.notes,
     )
-    with database.transaction() as session:
+    with tracer.start_as_current_span("commit row"), database.transaction() as session:
         batch, duplicate = service.accept(session, device_id, made, now=now)
         batch_id = batch.id
-    return _answer(database, device_id, sent, batch_id, now, duplicate=duplicate), 0 if duplicate else columns.rows
+    answer = _answer(database, device_id, sent, batch_id, now, duplicate=duplicate)
+    return (answer, 0, 0) if duplicate else (answer, columns.rows, service.readings(columns))
 
 
 def _answer(

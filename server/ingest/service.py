@@ -234,6 +234,12 @@ def may_hold_a_blow(columns: Columns) -> bool:
     return bool(np.nanmax(squares, initial=0.0) >= BLOW_MPS2**2)
 
 
+def readings(columns: Columns) -> int:
+    """Rows with a reading of the accelerometer."""
+    force = columns.values.get("fx")
+    return 0 if force is None else int(np.count_nonzero(~np.isnan(force)))
+
+
 def remarks_on(columns: Columns) -> list[dict[str, str]]:
     """What a reader of the results must know of these rows."""
     remarks = [{"code": remark.code, "detail": remark.detail} for remark in columns.remarks]

@@ -8,18 +8,27 @@ burst have a queue of their own, which each worker looks at first.
 from __future__ import annotations
 
 import datetime as dt
+import json
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Generator, Mapping
+from contextlib import contextmanager
+from typing import Any
 
 import dramatiq
+import pika
+import pika.exceptions
 import structlog
 from dramatiq.brokers.rabbitmq import RabbitmqBroker
-from dramatiq.middleware import Retries, ShutdownNotifications
+from dramatiq.common import dq_name, xq_name
+from dramatiq.middleware import CurrentMessage, Middleware, Retries, ShutdownNotifications
 
 from server.database import Database
 from server.jobs.due import due_devices
+from server.jobs.failures import MAX_FAILURES, Job, dead, left_alone
+from server.jobs.run import Tally, run_job
 from server.settings import Settings
 from server.store import open_store
+from server.tracing import Carried, carried, known
 
 Clock = Callable[[], dt.datetime]
 
@@ -27,7 +36,7 @@ QUEUE = "devices"
 BURSTS = "bursts"
 ACTOR = "bring_up_to_date"
 BURST_ACTOR = "bring_up_to_date_first"
-MAX_RETRIES = 8
+MAX_RETRIES = MAX_FAILURES - 1
 BACKOFF_MS = (1_000, 300_000)
 SWEEP_S = 5.0
 SWEEP_DEVICES = 1000
@@ -35,6 +44,7 @@ RESEND_S = 60.0
 """The sweep sends one device again at most this often."""
 RECONNECT_S = (0.5, 30.0)
 STOP_MS = 7_000
+LOOK_TIMEOUT_S = 2.0
 
 log = structlog.stdlib.get_logger("scatola.broker")
 
@@ -42,12 +52,16 @@ log = structlog.stdlib.get_logger("scatola.broker")
 def make_broker(url: str) -> RabbitmqBroker:
     """A broker with what is needed: retries with backoff, then the dead-letter queue."""
     retries = Retries(max_retries=MAX_RETRIES, min_backoff=BACKOFF_MS[0], max_backoff=BACKOFF_MS[1])
-    return RabbitmqBroker(url=url, confirm_delivery=True, middleware=[ShutdownNotifications(), retries])
+    middleware: list[Middleware] = [ShutdownNotifications(), CurrentMessage(), retries]
+    return RabbitmqBroker(url=url, confirm_delivery=True, middleware=middleware)
 
 
-def message_for(device_id: str, queue: str, actor: str = ACTOR) -> dramatiq.Message[None]:
-    """The message that a device is due."""
-    return dramatiq.Message(queue_name=queue, actor_name=actor, args=(device_id,), kwargs={}, options={})
+def message_for(
+    device_id: str, queue: str, actor: str = ACTOR, options: Mapping[str, object] | None = None
+) -> dramatiq.Message[None]:
+    """The message that a device is due; `options` are Dramatiq's, and the words that the job carries."""
+    said = dict(options or {})
+    return dramatiq.Message(queue_name=queue, actor_name=actor, args=(device_id,), kwargs={}, options=said)
 
 
 class Sender:
@@ -62,7 +76,7 @@ class Sender:
         self._url = settings.broker_url.get_secret_value()
         self._queue = queue
         self._actor = actor
-        self._waiting: dict[str, None] = {}
+        self._waiting: dict[str, Carried] = {}
         self._changed = threading.Condition()
         self._closed = False
         self._thread = threading.Thread(target=self._run, name="sender", daemon=True)
@@ -71,7 +85,7 @@ class Sender:
     def __call__(self, device_id: str) -> None:
         """Send a device's id soon."""
         with self._changed:
-            self._waiting[device_id] = None
+            self._waiting[device_id] = carried()
             self._changed.notify()
 
     def close(self) -> None:
@@ -92,15 +106,15 @@ class Sender:
         pause = RECONNECT_S[0]
         while (device_id := self._next()) is not None:
             with self._changed:
-                del self._waiting[device_id]
+                words = self._waiting.pop(device_id)
             try:
-                broker.enqueue(message_for(device_id, self._queue, self._actor))
+                broker.enqueue(message_for(device_id, self._queue, self._actor, words))
                 pause = RECONNECT_S[0]
             except Exception:
                 # Whatever the broker does, an upload must not feel it.
                 log.warning("broker cannot be reached", again_in_s=pause, exc_info=True)
                 with self._changed:
-                    self._waiting[device_id] = None
+                    self._waiting.setdefault(device_id, words)
                     self._changed.wait_for(lambda: self._closed, timeout=pause)
                 pause = min(2.0 * pause, RECONNECT_S[1])
         broker.close()
@@ -110,6 +124,7 @@ def run_consumer(
     settings: Settings, *, stop: threading.Event, clock: Clock, queue: str = QUEUE, bursts: str = BURSTS
 ) -> None:
     """Work off what the queue brings, and send again what stays due, until told to stop."""
+    from server.jobs.rerun import start_reruns
     from server.jobs.work import bring_up_to_date
     from server.jobs.worker import (
         STOP_TELLING_S,
@@ -124,8 +139,17 @@ def run_consumer(
     broker = make_broker(settings.broker_url.get_secret_value())
 
     def work(device_id: str) -> None:
-        while bring_up_to_date(database, store, device_id, clock=clock).more and not stop.is_set():
-            pass
+        def rounds(tally: Tally) -> None:
+            more = True
+            while more and not stop.is_set():
+                done = bring_up_to_date(database, store, device_id, clock=clock)
+                tally.add(batches=done.batches, failed=done.failed, estimates=done.estimates)
+                more = done.more
+
+        message = CurrentMessage.get_current_message()
+        assert message is not None
+        job = Job(message.message_id, device_id, message.queue_name, known(message.options))
+        run_job(database, job, rounds, clock=clock)
 
     # The lower number goes first among the messages that this worker has fetched.
     dramatiq.Actor(work, broker=broker, actor_name=BURST_ACTOR, queue_name=bursts, priority=0, options={})
@@ -138,6 +162,7 @@ def run_consumer(
     sealer = start_sealing(database, settings, stop=stop, clock=clock)
     tellers = start_telling(database, settings, stop=stop, clock=clock)
     sweep = Sweep(database, broker, queue, clock)
+    rerunner = start_reruns(database, store, stop=stop, clock=clock, idle=lambda: not sweep.waiting)
     try:
         while not stop.wait(SWEEP_S):
             sweep.once()
@@ -147,10 +172,9 @@ def run_consumer(
         broker.close()
         for teller in tellers:
             teller.join(STOP_TELLING_S)
-        keeper.join()
-        eraser.join()
-        if sealer is not None:
-            sealer.join()
+        for thread in (keeper, eraser, rerunner, sealer):
+            if thread is not None:
+                thread.join(2.0)  # an event that is being computed again is left: its lease runs out
         database.dispose()
 
 
@@ -163,27 +187,98 @@ class Sweep:
         self._queue = queue
         self._clock = clock
         self._sent: dict[str, dt.datetime] = {}
+        self.waiting = 0
+        """Messages in the queue at the last look."""
 
     def once(self) -> int:
         """Look once; how many were sent."""
         try:
-            waiting, _, _ = self._broker.get_queue_message_counts(self._queue)
-            if waiting:
-                return 0
-            return self._send(self._due())
+            self.waiting, _, _ = self._broker.get_queue_message_counts(self._queue)
+            return 0 if self.waiting else self._send()
         except Exception:
             log.exception("sweep failed")
             return 0
 
-    def _due(self) -> list[str]:
+    def _send(self) -> int:
         now = self._clock()
         self._sent = {k: at for k, at in self._sent.items() if (now - at).total_seconds() < RESEND_S}
         with self._database.reading() as session:
-            devices = due_devices(session, SWEEP_DEVICES, now=now)
-        return [device_id for device_id in devices if device_id not in self._sent]
-
-    def _send(self, devices: list[str]) -> int:
+            # Those that failed lately wait for their pause: else each look would start a further chain of retries.
+            held, given_up = left_alone(session, now), dead(session)
+            due = due_devices(session, SWEEP_DEVICES, now=now)
+        devices = [device_id for device_id in due if device_id not in self._sent and device_id not in held]
         for device_id in devices:
-            self._broker.enqueue(message_for(device_id, self._queue))
-            self._sent[device_id] = self._clock()
+            options: dict[str, object] = {"max_retries": 0} if device_id in given_up else {}
+            self._broker.enqueue(message_for(device_id, self._queue, options=options))
+            self._sent[device_id] = now
         return len(devices)
+
+
+class Queues:
+    """The broker's queues as an operator sees them; each look is a connection of its own, short and bounded in time."""
+
+    def __init__(self, settings: Settings, names: tuple[str, ...] = (QUEUE, BURSTS)) -> None:
+        assert settings.broker_url is not None
+        self._parameters = pika.URLParameters(settings.broker_url.get_secret_value())
+        self._parameters.connection_attempts = 1
+        self._parameters.socket_timeout = self._parameters.stack_timeout = LOOK_TIMEOUT_S
+        self._parameters.blocked_connection_timeout = LOOK_TIMEOUT_S
+        self._names = names
+
+    @contextmanager
+    def _connection(self) -> Generator[Any]:  # pika is untyped
+        try:
+            connection = pika.BlockingConnection(self._parameters)
+            try:
+                yield connection
+            finally:
+                if connection.is_open:
+                    connection.close()
+        except (pika.exceptions.AMQPError, OSError) as error:
+            raise BrokerUnreachableError(type(error).__name__) from error
+
+    def check(self) -> None:
+        """Raise BrokerUnreachableError unless the broker lets us in."""
+        with self._connection():
+            pass
+
+    def depths(self) -> dict[str, int]:
+        """Messages by queue, with those that wait for a retry and the dead letters; none of queues not made yet."""
+        with self._connection() as connection:
+            names = [each for queue in self._names for each in (queue, dq_name(queue), xq_name(queue))]
+            counts = {name: _count(connection.channel(), name) for name in names}
+        return {name: count for name, count in counts.items() if count is not None}
+
+    def drop_letters(self, device_ids: set[str]) -> int:
+        """Take the dead letters of some boxes out of the broker, for they are sent anew; how many."""
+        dropped = 0
+        with self._connection() as connection:
+            for queue in map(xq_name, self._names):
+                count = _count(connection.channel(), queue)
+                channel = connection.channel()
+                # What is not acknowledged goes back to its place when the channel closes.
+                for _ in range(count or 0):
+                    method, _, body = channel.basic_get(queue)
+                    if method is not None and _device_of(body) in device_ids:
+                        channel.basic_ack(method.delivery_tag)
+                        dropped += 1
+                channel.close()
+        return dropped
+
+
+class BrokerUnreachableError(Exception):
+    """The broker does not answer, or does not let us in."""
+
+
+def _count(channel: Any, queue: str) -> int | None:
+    try:
+        return int(channel.queue_declare(queue, passive=True).method.message_count)
+    except pika.exceptions.ChannelClosedByBroker:
+        return None  # nobody has made it yet
+
+
+def _device_of(body: bytes) -> str | None:
+    try:
+        return str(json.loads(body)["args"][0])
+    except (ValueError, KeyError, IndexError, TypeError):
+        return None

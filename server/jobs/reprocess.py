@@ -9,7 +9,6 @@ from hashlib import sha256
 from typing import Any
 
 import zstandard
-from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from nav_core.crash import reconstruct_drive
@@ -36,13 +35,35 @@ class Again:
     """same, revised, gone (no such event by this version), erased (raw data are gone), contended (try again)."""
     differences: tuple[str, ...] = ()
     """Members of the canonical JSON that differ."""
+    before: dict[str, Any] | None = None
+    after: dict[str, Any] | None = None
+    """The event's figures."""
+
+
+FIGURES = (
+    "kind",
+    "t0_s",
+    "delta_v_kmh",
+    "pdof_deg",
+    "impact_speed_kmh",
+    "peak_g",
+    "asi",
+    "olc_g",
+    "clipped",
+    "quality",
+)
+"""Of an event, what a comparison of versions shows."""
+
+
+def figures(event: dict[str, Any]) -> dict[str, Any]:
+    """Those of an event's JSON."""
+    return {name: event.get(name) for name in FIGURES}
 
 
 def severe_events(database: Database, device_id: str | None) -> list[str]:
     """Ids of the events that are reconstructed, the oldest first."""
-    query = select(Event.id).where(Event.severe, *queries.LISTED).order_by(Event.at)
     with database.reading() as session:
-        return list(session.scalars(query if device_id is None else query.where(Event.device_id == device_id)))
+        return list(session.scalars(queries.severe(device_id)))
 
 
 def reprocess(
@@ -78,7 +99,8 @@ def reprocess(
             kept = _keep(session, event_id, version, revision, again, now=clock())
         outcome = "revised" if kept else "contended"
     number = event.revision + (outcome == "revised")
-    return Again(event_id, number, revision.algorithm, again["algorithm"], outcome, paths)
+    told = figures(document["event"]), figures(again["event"])
+    return Again(event_id, number, revision.algorithm, again["algorithm"], outcome, paths, *told)
 
 
 def _keep(

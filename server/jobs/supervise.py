@@ -6,6 +6,7 @@ supervisor is gone, however it went, and the child exits by itself.
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -14,6 +15,8 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 
 import structlog
+
+from server.tracing import carried
 
 SUPERVISED = "SCATOLA_SUPERVISED"
 RESTART_S = (0.5, 30.0)
@@ -72,13 +75,13 @@ class Child:
         self._restart_at = now + pause
         log.warning("child died", child=self.name, status=process.returncode, restart_in_s=pause)
 
-    def wake(self) -> None:
-        """Write a byte into the pipe; a full pipe wakes as well as one more byte would."""
+    def wake(self, line: bytes = b"\n") -> None:
+        """Write a line into the pipe; a full pipe wakes as well as one more line would."""
         process = self._process
         if process is None or process.stdin is None:
             return
         try:
-            os.write(process.stdin.fileno(), b"\n")
+            os.write(process.stdin.fileno(), line)  # shorter than PIPE_BUF: whole, or not at all
         except (BlockingIOError, BrokenPipeError, ValueError, OSError):
             return  # full, or the child just died: it looks by itself when it is back
 
@@ -117,10 +120,13 @@ class Supervisor:
         self._thread.start()
 
     def wake(self, device_id: str) -> None:
-        """Tell the worker that a device is due."""
-        del device_id  # the database says which
+        """Tell the worker that a device is due, and for which request."""
         if self._woken is not None:
-            self._woken.wake()
+            self._woken.wake(json.dumps({"device_id": device_id, **carried()}).encode() + b"\n")
+
+    def alive(self) -> dict[str, bool]:
+        """Which children run."""
+        return {child.name: child.pid is not None for child in self.children}
 
     def stop(self, timeout_s: float = STOP_S) -> None:
         """Stop all children, those that do not stop in time by force."""

@@ -3,29 +3,34 @@
 from __future__ import annotations
 
 import datetime as dt
+import json
 import os
 import select
 import signal
 import threading
+import uuid
 from collections.abc import Callable
 from types import FrameType
 
 import structlog
+from prometheus_client import start_http_server
 
 from server.database import Database
 from server.jobs.due import burst_devices, due_devices
+from server.jobs.failures import Job, left_alone
+from server.jobs.rerun import Reruns
+from server.jobs.run import FIGURES, Tally, run_job
 from server.jobs.supervise import parent_fd
-from server.migrations import is_current
+from server.migrations import serves
 from server.settings import Settings, set_numba_cache_dir
 from server.store import COLLECT_AGE, BlobStore, collect, open_store
+from server.tracing import Carried, known
 
 Clock = Callable[[], dt.datetime]
 
 LOOK_S = 0.25
 """So often the embedded worker looks by itself."""
 DEVICES = 32
-BACKOFF_S = (1.0, 300.0)
-"""A device whose work fails is left alone for this long at first, and at most; it doubles each time."""
 NICENESS = 5
 COLLECT_EVERY_S = 3600.0
 SEAL_EVERY_S = 20.0
@@ -62,13 +67,15 @@ def run(settings: Settings) -> None:
     else:
         from server.jobs.broker import run_consumer
 
+        if settings.metrics_port is not None:
+            start_http_server(settings.metrics_port, settings.metrics_host, registry=FIGURES)
         run_consumer(settings, stop=stop, clock=utc_now)
 
 
 def _check_schema(settings: Settings) -> None:
     database = Database(settings)
     try:
-        if not is_current(database.engine):
+        if not serves(database.engine):
             raise ValueError("the database is not at this version's schema: run `scatola migrate` first")
     finally:
         database.dispose()
@@ -84,10 +91,13 @@ def run_worker(
     sealer = start_sealing(database, settings, stop=stop, clock=clock)
     tellers = start_telling(database, settings, stop=stop, clock=clock)
     rounds = Rounds(database, store, clock)
+    reruns = Reruns(database, store, clock)
     try:
         while not stop.is_set():
-            if not rounds.once(stop):
-                _wait(stop, wake_fd)
+            rounds.told.update(_listen(stop, wake_fd, 0.0))
+            # Re-runs take what is left: after each event it is asked again what is due.
+            if not rounds.once(stop) and not reruns.once():
+                rounds.told.update(_listen(stop, wake_fd, LOOK_S))
     finally:
         stop.set()
         for teller in tellers:
@@ -111,7 +121,9 @@ class Rounds:
         self._store = store
         self._clock = clock
         self._after = ""
-        self._failures: dict[str, tuple[int, dt.datetime]] = {}
+        self._left_alone: dict[str, bool] = {}
+        self.told: dict[str, Carried] = {}
+        """What the pipe told of the requests behind what is due."""
 
     def once(self, stop: threading.Event) -> bool:
         """Work off a handful of devices; whether there was anything to do."""
@@ -135,30 +147,29 @@ class Rounds:
         except Exception:
             log.exception("cannot ask for bursts")
             return []
-        return [device_id for device_id in waiting if self._may_try(device_id, self._clock())]
+        return [device_id for device_id in waiting if device_id not in self._left_alone]
 
     def _due(self) -> list[str]:
         now = self._clock()
         with self._database.reading() as session:
+            self._left_alone = left_alone(session, now)
             devices = due_devices(session, DEVICES, now=now, after=self._after)
             if not devices and self._after:
                 devices = due_devices(session, DEVICES, now=now)
         self._after = devices[-1] if len(devices) == DEVICES else ""
-        return [device_id for device_id in devices if self._may_try(device_id, now)]
-
-    def _may_try(self, device_id: str, now: dt.datetime) -> bool:
-        return device_id not in self._failures or self._failures[device_id][1] <= now
+        return [device_id for device_id in devices if device_id not in self._left_alone]
 
     def _work(self, device_id: str) -> None:
+        job = Job(uuid.uuid4().hex, device_id, "devices", self.told.pop(device_id, {}))
+
+        def work(tally: Tally) -> None:
+            done = self._bring_up_to_date(self._database, self._store, device_id, clock=self._clock)
+            tally.add(batches=done.batches, failed=done.failed, estimates=done.estimates)
+
         try:
-            self._bring_up_to_date(self._database, self._store, device_id, clock=self._clock)
-        except Exception:
-            count = self._failures.get(device_id, (0, utc_now()))[0] + 1
-            pause = min(BACKOFF_S[0] * 2.0 ** min(count - 1, 30), BACKOFF_S[1])
-            self._failures[device_id] = count, self._clock() + dt.timedelta(seconds=pause)
-            log.exception("work failed", device_id=device_id, failures=count, again_in_s=pause)
-        else:
-            self._failures.pop(device_id, None)
+            run_job(self._database, job, work, clock=self._clock)
+        except Exception:  # noqa: BLE001  written down and logged there; the other boxes go on
+            self._left_alone[device_id] = False
 
 
 def start_housekeeping(
@@ -232,11 +243,26 @@ def start_telling(
     return [*delivery.start(database, settings, stop=stop, clock=clock), sweep.start(database, stop=stop, clock=clock)]
 
 
-def _wait(stop: threading.Event, wake_fd: int | None) -> None:
-    """Wait for a byte in the pipe, or a moment; the pipe's end is the supervisor's."""
+def _listen(stop: threading.Event, wake_fd: int | None, seconds: float) -> dict[str, Carried]:
+    """Wait so long for a line in the pipe; the pipe's end is the supervisor's.
+
+    A line may name a device and the request behind it.  One that a full pipe cut short is none: the database says
+    what is due, and only the log and the trace are the poorer for it.
+    """
     if wake_fd is None:
-        stop.wait(LOOK_S)
-        return
-    ready, _, _ = select.select([wake_fd], [], [], LOOK_S)
-    if ready and not os.read(wake_fd, 65536):
+        stop.wait(seconds)
+        return {}
+    ready, _, _ = select.select([wake_fd], [], [], seconds)
+    if not ready:
+        return {}
+    said = os.read(wake_fd, 65536)
+    if not said:
         stop.set()
+    told: dict[str, Carried] = {}
+    for line in said.splitlines():
+        try:
+            words = json.loads(line)
+            told[str(words["device_id"])] = known(words)
+        except (ValueError, TypeError, KeyError):
+            continue
+    return told

@@ -48,6 +48,8 @@ PERMISSION_WORDS: dict[Permission, str] = {
     "audit.read": marked("read the audit log"),
     "privacy.manage": marked("set how long data are kept, and erase"),
     "privacy.export": marked("export all that is held about a vehicle or a person"),
+    "export": marked("take out tracks, events and samples in bulk"),
+    "jobs.manage": marked("see and replay work that fails, run events again"),
 }
 
 Text = Annotated[str, Form(max_length=500)]

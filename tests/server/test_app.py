@@ -22,7 +22,8 @@ FORCE = {"t": [0.0, 0.1], "fx": [0, 0], "fy": [0, 0], "fz": [-9.8, -9.8]}
 def test_it_is_alive_and_ready(client):
     assert client.get("/healthz").json() == {"status": "ok"}
     answer = client.get("/readyz")
-    assert (answer.status_code, answer.json()) == (200, {"status": "ok", "failures": {}})
+    checks = dict.fromkeys(("draining", "database", "migrations", "store"), True)
+    assert (answer.status_code, answer.json()) == (200, {"status": "ok", "failures": {}, "checks": checks})
 
 
 def test_readiness_names_what_is_not(settings, clock, serve, database):
@@ -148,7 +149,7 @@ import httpx, threading, time, uvicorn, sys
 from pathlib import Path
 from server.app import create_app
 from server.settings import Settings
-from server.telemetry import configure_logging
+from server.logs import configure_logging
 configure_logging(as_json=True)
 app = create_app(Settings(data_dir=Path(sys.argv[1]), admin_token="very-secret-token"))
 server = uvicorn.Server(uvicorn.Config(app, port=0, log_config=None, access_log=False))
@@ -241,3 +242,32 @@ def test_token_buckets():
     for index in range(20_000):
         buckets.take(f"k{index}", 100.0 + index)
     assert len(buckets._buckets) < 10_100
+
+
+def test_what_it_can_do_without_degrades_it_and_what_it_cannot_does_not_serve(app, client):
+    app.state.readiness.helpers["broker"] = lambda: "does not answer"
+    answer = client.get("/readyz")
+    assert (answer.status_code, answer.json()["status"]) == (200, "degraded")
+    assert answer.json()["failures"] == {"broker": "does not answer"}
+    assert answer.json()["checks"]["broker"] is False
+    assert client.get("/readyz", params={"every": True}).status_code == 503
+    app.state.readiness.draining = True
+    answer = client.get("/readyz")
+    assert (answer.status_code, answer.json()["status"]) == (503, "not ready")
+    assert client.get("/healthz").status_code == 200
+
+
+def test_many_who_ask_for_figures_ask_the_database_once(app, client, monkeypatch):
+    asked = []
+    real = app.state.database.reading
+    monkeypatch.setattr(app.state.database, "reading", lambda: asked.append(1) or real())
+    monkeypatch.setattr("server.telemetry.GAUGES_LIFE_S", 3600.0)
+    texts = [client.get("/metrics").text for _ in range(5)]
+    assert len(asked) == 1
+    for name in (
+        "scatola_dead_letters",
+        "scatola_failing_devices",
+        "scatola_database_up",
+        "scatola_due_oldest_seconds",
+    ):
+        assert all(f"\n{name} " in text for text in texts), name

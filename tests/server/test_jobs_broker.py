@@ -16,6 +16,7 @@ from dramatiq.common import dq_name, xq_name
 from fleet_world import Leg, World, cut, drive_of
 
 from server.jobs import broker as jobs_broker
+from server.jobs import failures
 from server.jobs import work as jobs_work
 from server.jobs.broker import Sender, Sweep, make_broker, run_consumer
 from server.models import Batch, BatchDigest, DeviceState, Installation
@@ -254,3 +255,102 @@ def test_two_worker_processes_race_and_one_is_killed(world, send, consumer_proce
     other.stdin.close()
     other.stdin = None
     assert other.wait(15.0) == 0
+
+
+# --- what travels with a message
+
+
+@pytest.fixture(scope="session")
+def spans():
+    """What is recorded from now on; OpenTelemetry takes one provider for the life of a process."""
+    from opentelemetry import trace
+    from opentelemetry.sdk.trace import TracerProvider
+    from opentelemetry.sdk.trace.export import SimpleSpanProcessor
+    from opentelemetry.sdk.trace.export.in_memory_span_exporter import InMemorySpanExporter
+
+    exporter, provider = InMemorySpanExporter(), TracerProvider()
+    provider.add_span_processor(SimpleSpanProcessor(exporter))
+    trace.set_tracer_provider(provider)
+    yield exporter
+    exporter.shutdown()
+
+
+def test_one_upload_is_one_trace_through_broker_and_worker(
+    app, client, make_device, world, send, consume, spans, monkeypatch
+):
+    monkeypatch.setattr(Sweep, "once", lambda _sweep: 0)
+    app.state.wake = send
+    _, token = make_device()
+    spans.clear()
+    consume()
+    columns = {"t": [0.0, 0.5], "fx": [0, 0], "fy": [0, 0], "fz": [-9.8, -9.8]}
+    headers = {"Authorization": f"Bearer {token}", "Idempotency-Key": "b/0", "X-Request-ID": "upload-7"}
+    client.post("/api/v1/batches", json={"columns": columns}, headers=headers).raise_for_status()
+    until(lambda: world.unprocessed() == 0)
+    until(lambda: "bring up to date" in {span.name for span in spans.get_finished_spans()})
+    finished = {span.name: span for span in spans.get_finished_spans()}
+    upload, job = finished["POST /api/v1/batches"], finished["bring up to date"]
+    assert job.context.trace_id == upload.context.trace_id
+    assert finished["commit row"].context.trace_id == upload.context.trace_id
+    assert job.attributes["scatola.batches"] == 1
+    assert token not in str([span.to_json() for span in spans.get_finished_spans()])
+
+
+def test_a_dead_letter_is_shown_and_replayed(app, admin, world, batches, send, consume, queue, settings, monkeypatch):
+    monkeypatch.setattr(Sweep, "once", lambda _sweep: 0)
+    monkeypatch.setattr(jobs_broker, "MAX_RETRIES", 2)
+    monkeypatch.setattr(failures, "MAX_FAILURES", 3)
+    monkeypatch.setattr(jobs_broker, "BACKOFF_MS", (1, 10))
+    queues = jobs_broker.Queues(settings, (queue, bursts_of(queue)))
+    app.state.wake, app.state.drop_letters = send, queues.drop_letters
+    luck = threading.Event()
+    real = jobs_work.bring_up_to_date
+
+    def fails(database, store, device_id, **options):
+        if not luck.is_set():
+            raise RuntimeError("no luck with amqp://user:hunter2@broker")
+        return real(database, store, device_id, **options)
+
+    monkeypatch.setattr(jobs_work, "bring_up_to_date", fails)
+    world.put(batches[0], 0)
+    consume()
+    send(world.device_id)
+    until(lambda: queues.depths().get(xq_name(queue)) == 1)
+    (letter,) = admin.get("/api/v1/jobs/failures", params={"dead": True}).json()["items"]
+    assert (letter["device_id"], letter["failures"], letter["waiting_batches"]) == (world.device_id, 3, 1)
+    assert letter["error"] == "RuntimeError: no luck with amqp://user:[redacted]@broker"
+    assert letter["job_id"]
+    assert "scatola_dead_letters 1.0" in admin.get("/metrics").text
+    luck.set()
+    assert admin.post("/api/v1/jobs/failures/replay").json() == {"replayed": [world.device_id]}
+    until(lambda: world.unprocessed() == 0)
+    until(lambda: queues.depths()[xq_name(queue)] == 0)
+    assert admin.get("/api/v1/jobs/failures").json() == {"items": []}
+    assert admin.post(f"/api/v1/jobs/failures/{world.device_id}/replay").status_code == 404
+    actions = [entry["action"] for entry in admin.get("/api/v1/audit").json()["items"]]
+    assert "jobs.replay" in actions
+
+
+def test_the_sweep_leaves_failing_boxes_alone_for_their_pause(world, batches, clock, queue):
+    world.put(batches[0], 0)
+    broker = make_broker(URL)
+    broker.declare_queue(queue, ensure=True)
+    sweep = Sweep(world.database, broker, queue, clock)
+    with world.database.transaction() as session:
+        for _ in range(failures.MAX_FAILURES):
+            failures.note_failure(session, failures.Job("j", world.device_id, queue, {}), ValueError("x"), now=clock())
+    assert sweep.once() == 0
+    clock.advance(seconds=failures.DEAD_AGAIN_S + 1.0)
+    assert sweep.once() == 1
+    broker.close()
+
+
+def test_a_broker_that_does_not_answer_is_said_so(settings):
+    with socket.create_server(("127.0.0.1", 0)) as probe:
+        nobody = f"amqp://guest:guest@127.0.0.1:{probe.getsockname()[1]}/"
+    dead = settings.model_copy(update={"broker_url": Settings(broker_url=nobody).broker_url})
+    began = time.monotonic()
+    with pytest.raises(jobs_broker.BrokerUnreachableError):
+        jobs_broker.Queues(dead).check()
+    assert time.monotonic() - began < 10.0
+    jobs_broker.Queues(settings).check()

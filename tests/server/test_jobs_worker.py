@@ -12,7 +12,7 @@ from fleet_world import Leg, World, cut, drive_of
 from server.jobs import worker
 from server.jobs.supervise import SUPERVISED, scatola
 from server.jobs.worker import Rounds, run_worker
-from server.models import Batch, DeviceState
+from server.models import Batch, DeviceState, JobFailure
 
 
 @pytest.fixture
@@ -96,7 +96,7 @@ def test_one_box_that_fails_waits_longer_and_longer_and_the_others_go_on(world, 
     clock.advance(seconds=9.0)
     rounds.once(stop)
     assert world.unprocessed() == 0
-    assert not rounds._failures
+    assert not world.rows(JobFailure)
 
 
 def test_a_database_that_does_not_answer_does_not_end_the_loop(world, batches, clock, monkeypatch):

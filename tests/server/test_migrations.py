@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import datetime as dt
+import re
 import uuid
 from concurrent.futures import ThreadPoolExecutor
 
@@ -9,7 +11,7 @@ import pytest
 import sqlalchemy as sa
 
 from server.database import make_engine
-from server.migrations import differences, downgrade, is_current, migrating, upgrade
+from server.migrations import differences, downgrade, head, is_current, migrating, serves, upgrade
 from server.models import Base
 from server.settings import Settings
 
@@ -122,3 +124,85 @@ def test_a_migration_does_not_wait_for_ever_behind_a_lock(empty, monkeypatch):
             downgrade(empty, "base")
     engine.dispose()
     assert current(empty)
+
+
+# --- while the version before still serves
+
+
+def revisions() -> list[str]:
+    from alembic.script import ScriptDirectory
+
+    from server.migrations import _config
+
+    return [script.revision for script in reversed(list(ScriptDirectory.from_config(_config()).walk_revisions()))]
+
+
+def test_revisions_are_numbers_that_grow():
+    """`serves` tells by them whether a database is ahead of this version or behind it."""
+    found = revisions()
+    assert found == sorted(found)
+    assert all(len(revision) == 4 and revision.isdecimal() for revision in found)
+
+
+def reflected(settings: Settings) -> sa.MetaData:
+    metadata, engine = sa.MetaData(), make_engine(settings)
+    metadata.reflect(engine)
+    engine.dispose()
+    return metadata
+
+
+def row_of(table: sa.Table, inspector: sa.Inspector) -> dict[str, object]:
+    """A row that a version before might write: the columns that it knows, each with some value that is allowed."""
+    by_kind = (
+        (sa.String, "x"),
+        (sa.JSON, {}),
+        (sa.Boolean, True),
+        (sa.DateTime, dt.datetime(2026, 1, 1, tzinfo=dt.UTC)),
+        (sa.Date, dt.date(2026, 1, 1)),
+        (sa.LargeBinary, b"x"),
+        (sa.Float, 1.0),
+        (sa.Integer, 1),
+    )
+    row = {c.name: next(value for kind, value in by_kind if isinstance(c.type, kind)) for c in table.columns}
+    for check in inspector.get_check_constraints(table.name):
+        column = next(name for name in row if re.search(rf"\b{name}\b", check["sqltext"]))
+        row[column] = re.search("'([^']*)'", check["sqltext"])[1]
+    return row
+
+
+@pytest.mark.parametrize("before", range(len(revisions()) - 1))
+def test_the_version_before_still_reads_and_writes(empty, before):
+    """Expand first: nothing that the version before uses goes, and nothing that it does not know must be given."""
+    old, new = revisions()[before : before + 2]
+    upgrade(empty, old)
+    known = reflected(empty)
+    tables_before = [table for table in known.sorted_tables if table.name != "alembic_version"]
+    upgrade(empty, new)
+    engine = make_engine(empty)
+    rows = {table: row_of(table, sa.inspect(engine)) for table in tables_before}
+    with engine.begin() as connection:
+        for table, row in rows.items():
+            connection.execute(table.insert().values(row))
+        for table in tables_before:
+            (row,) = connection.execute(sa.select(table)).all()
+            assert len(row) == len(table.columns)
+    engine.dispose()
+
+
+def test_a_database_that_is_ahead_is_served_and_one_behind_is_not(empty):
+    upgrade(empty)
+    engine = make_engine(empty)
+
+    def at(revision: str) -> bool:
+        with engine.begin() as connection:
+            connection.execute(sa.text("UPDATE alembic_version SET version_num = :to"), {"to": revision})
+        return serves(engine)
+
+    assert at(head())
+    assert at("9999")
+    assert not at("0001")
+    assert not at("old")
+    with engine.begin() as connection:
+        connection.execute(sa.text("DELETE FROM alembic_version"))
+    assert not serves(engine)
+    engine.dispose()

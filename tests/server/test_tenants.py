@@ -48,9 +48,12 @@ from server.models import (
     EventAction,
     GeofencePresence,
     Installation,
+    JobFailure,
     MountingRevision,
     Organisation,
     RetentionRule,
+    Rerun,
+    RerunItem,
     SequenceRun,
     SignInCode,
     TheftWatch,
@@ -80,6 +83,7 @@ def fill(session: Session, store: BlobStore, name: str) -> dict[str, str]:
         for number, kind in enumerate(("vehicle", "device", "trip", "user", "key", "request", "event"), 1)
     }
     ids["erasure"] = f"{name}e" * 16
+    ids["rerun"] = f"{name}a" * 16
     ids |= {kind: name + letter * 31 for letter, kind in zip("cdefg", ALERT_IDS, strict=True)}
     rest = {kind: f"{name}{number}" * 16 for number, kind in enumerate(("batch", "installation"), 8)}
     org = organisation.id
@@ -236,6 +240,17 @@ def fill(session: Session, store: BlobStore, name: str) -> dict[str, str]:
                 algorithm="x",
                 input_sha256="",
             ),
+            JobFailure(
+                device_id=ids["device"],
+                failures=9,
+                first_at=AT,
+                last_at=AT,
+                dead_at=AT,
+                error=f"of {name}",
+                queue="devices",
+                job_id="j",
+            ),
+            Rerun(id=ids["rerun"], organisation_id=org, created_at=AT, created_by=f"of {name}", algorithm="x", total=1),
             TrackPoint(trip_id=ids["trip"], t_s=0.0, at=AT, lat_deg=45.0, lon_deg=11.0),
             ChainSeal(device_id=ids["device"], chain_length=1, chain_head="", sealed_at=AT),
         ]
@@ -334,6 +349,7 @@ def fill_event(session: Session, ids: dict[str, str], note: str) -> None:
         note=note,
     )
     session.add(EventAction(event_id=ids["event"], at=AT, actor=note, action="reopened", note=note))
+    session.add(RerunItem(rerun_id=ids["rerun"], event_id=ids["event"], ordinal=0, error=note))
 
 
 @dataclass
@@ -567,6 +583,8 @@ def test_each_role_does_what_it_may_and_no_more(app, serve, tenants, clock):
                 ("PUT", "/api/v1/events/{event_id}/review"),
                 ("PUT", "/api/v1/events/{event_id}/hold"),
                 ("POST", "/api/v1/events/{event_id}/view-ticket"),
+                ("POST", "/api/v1/jobs/failures/replay"),
+                ("POST", "/api/v1/reruns"),
                 ("POST", "/events/{event_id}/review"),
                 ("POST", "/events/{event_id}/hold"),
                 ("POST", "/api/v1/alert-rules"),

@@ -1,7 +1,7 @@
 """What people want to read the pages in, with their account or session.
 
-Revision ID: 0010
-Revises: 0005
+Revision ID: 0006
+Revises: 0009
 """
 
 from __future__ import annotations
@@ -10,8 +10,8 @@ import sqlalchemy as sa
 from alembic import op
 from sqlalchemy.dialects.postgresql import JSONB
 
-revision: str = "0010"
-down_revision: str | None = "0005"
+revision: str = "0006"
+down_revision: str | None = "0009"
 branch_labels: str | None = None
 depends_on: str | None = None
 
