@@ -53,8 +53,7 @@ log = structlog.stdlib.get_logger("scatola.jobs")
 @dataclass(slots=True)
 class Sources:
     """Where stored data comes from: pieces between two UTC times, and an installation's newest revision, if asked
-    for of those whose data ends before a moment.
-    """
+    for of those whose data ends before a moment."""
 
     pieces: Callable[[float, float], list[Piece]]
     last_revision: Callable[[str, dt.datetime | None], MountingRevision | None]

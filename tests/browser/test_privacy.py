@@ -21,7 +21,7 @@ def test_an_administrator_sets_rules_and_orders_an_erasure(open_page, site, scre
     page.get_by_role("button", name="Show what would go").click()
     plan = page.locator("#plan")
     expect(plan).to_contain_text(name)
-    expect(plan).to_contain_text("Batches")
+    expect(plan).to_contain_text("Uploads")
     screenshot(page, "privacy-plan")
     page.get_by_role("button", name="Erase", exact=True).click()
     expect(page.locator("#erasures")).to_contain_text("under way")
