@@ -89,14 +89,38 @@ def gravity(lat: Floats | float, height: Floats | float) -> Floats:
 
 
 def gravity_at(sin2_lat: Floats | float, height: Floats | float) -> Floats:
-    """`gravity`, m/s², where the square of the sine of the latitude is at hand."""
+    """`gravity`, m/s², where the square of the sine of the latitude is at hand.
+
+    Parameters
+    ----------
+    sin2_lat : ndarray or float, shape (...)
+        Square of the sine of the latitude.
+    height : ndarray or float, shape (...)
+        Above the ellipsoid, m.
+
+    Returns
+    -------
+    ndarray, shape (...)
+        m/s², downwards (Groves 2013 §2.4).
+    """
     surface = GRAVITY_EQUATOR * (1.0 + SOMIGLIANA * sin2_lat) / np.sqrt(1.0 - ECCENTRICITY2 * sin2_lat)
     linear = 2.0 * (1.0 + FLATTENING + CENTRIFUGAL_RATIO - 2.0 * FLATTENING * sin2_lat) / SEMI_MAJOR
     return surface * (1.0 - linear * height + 3.0 / SEMI_MAJOR**2 * height**2)
 
 
 def earth_rate(lat: Floats | float) -> Floats:
-    """Turning of e against i, in T axes, rad/s, shape (..., 3): ``(W cos lat, 0, -W sin lat)`` (004 eq. 22)."""
+    """Turning of e against i, in T axes, rad/s, shape (..., 3): ``(W cos lat, 0, -W sin lat)`` (004 eq. 22).
+
+    Parameters
+    ----------
+    lat : ndarray or float, shape (...)
+        Geodetic, rad.
+
+    Returns
+    -------
+    ndarray, shape (..., 3)
+        rad/s, T axes.
+    """
     lat = np.asarray(lat, dtype=np.float64)
     return RATE * np.stack((np.cos(lat), np.zeros_like(lat), -np.sin(lat)), axis=-1)
 
@@ -151,7 +175,20 @@ def tangent_axes(lat: Floats | float, lon: Floats | float) -> Floats:
 
 
 def geodetic_to_ecef(lat: Floats | float, lon: Floats | float, height: Floats | float) -> Floats:
-    """Position in e, m, shape (..., 3), of geodetic coordinates in rad and m (Groves 2013 eq. 2.112)."""
+    """Position in e, m, shape (..., 3), of geodetic coordinates in rad and m (Groves 2013 eq. 2.112).
+
+    Parameters
+    ----------
+    lat, lon : ndarray or float, shape (...)
+        Geodetic, WGS84, rad.
+    height : ndarray or float, shape (...)
+        Above the ellipsoid, m.
+
+    Returns
+    -------
+    ndarray, shape (..., 3)
+        e axes, m.
+    """
     lat, lon, height = np.broadcast_arrays(lat, lon, height)
     _, normal = radii(np.asarray(lat, dtype=np.float64))
     across = (normal + height) * np.cos(lat)
@@ -232,13 +269,45 @@ def geodetic_to_tangent(
 
 
 def tangent_to_geodetic(r_t: Floats, origin: tuple[float, float, float]) -> tuple[Floats, Floats, Floats]:
-    """Inverse of `geodetic_to_tangent`: latitude, longitude (rad) and height (m), each of shape (...)."""
+    """Inverse of `geodetic_to_tangent`: latitude, longitude (rad) and height (m), each of shape (...).
+
+    Parameters
+    ----------
+    r_t : ndarray, shape (..., 3)
+        North, east, down of the origin, m.
+    origin : tuple of float
+        Latitude, longitude, rad, and height, m.
+
+    Returns
+    -------
+    lat : ndarray, shape (...)
+        rad.
+    lon : ndarray, shape (...)
+        rad.
+    height : ndarray, shape (...)
+        Above the ellipsoid, m.
+
+    Raises
+    ------
+    ShapeError
+    """
     r_e = trailing("r_t", r_t, 3) @ tangent_axes(origin[0], origin[1]).T + geodetic_to_ecef(*origin)
     return ecef_to_geodetic(r_e)
 
 
 def decimal_year(utc: float) -> float:
-    """Year and the share of it gone by, UTC, of Unix seconds."""
+    """Year and the share of it gone by, UTC, of Unix seconds.
+
+    Parameters
+    ----------
+    utc : float
+        Unix time, s.
+
+    Returns
+    -------
+    float
+        As 2026.25.
+    """
     day = np.datetime64(round(utc), "s")
     first = day.astype("datetime64[Y]")
     begin, end = first.astype("datetime64[s]"), (first + 1).astype("datetime64[s]")
@@ -317,6 +386,20 @@ def magnetic_field_near(lat: float, lon: float, height: float, year: float) -> M
     Parameters and errors as `magnetic_field`.  Cells are 10 km north and about as much east, and 1 km high.  Below 60°
     of latitude the field at their middle differs by less than 0.08 µT, which is 0.3° of declination where 15 µT
     are horizontal; towards the poles the axes themselves turn within a cell.
+
+    Parameters
+    ----------
+    lat, lon : float
+        Geodetic, rad.
+    height : float
+        Above the ellipsoid, m.
+    year : float
+        As 2026.25.
+
+    Returns
+    -------
+    MagneticField
+        Field in T axes, µT, and its declination, rad.
     """
     row = round(lat / FIELD_CELL)
     # Columns narrow towards the poles as the parallels do; the pole itself is one cell.

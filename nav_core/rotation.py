@@ -136,6 +136,16 @@ def euler_to_quaternion(roll: Floats | float, pitch: Floats | float, yaw: Floats
     """Quaternion of roll, pitch and yaw, shape (..., 4) with ``w >= 0``; angles in rad, broadcast (000 eq. 2.6.69).
 
     The last line of 2.6.69 as printed lacks a minus (docs/equations.md).
+
+    Parameters
+    ----------
+    roll, pitch, yaw : ndarray or float, shape (...)
+        From b to n, rad.
+
+    Returns
+    -------
+    ndarray, shape (..., 4)
+        Order (x, y, z, w).
     """
     roll, pitch, yaw = np.broadcast_arrays(roll, pitch, yaw)
     cr, sr = np.cos(0.5 * roll), np.sin(0.5 * roll)
@@ -151,6 +161,21 @@ def quaternion_to_euler(q_nb: Floats) -> Floats:
     """Roll, pitch and yaw of a quaternion, shape (..., 3), rad; at pitch = ±pi/2 as `matrix_to_euler`.
 
     000 eq. 2.6.71, whose printed numerator of yaw is 2 (ac + bc) where 2 (ad + bc) is meant.
+
+    Parameters
+    ----------
+    q_nb : ndarray, shape (..., 4)
+        From b to n, order (x, y, z, w).
+
+    Returns
+    -------
+    ndarray, shape (..., 3)
+        rad.
+
+    Raises
+    ------
+    ShapeError, RangeError
+        As `quaternion_to_matrix`.
     """
     return matrix_to_euler(quaternion_to_matrix(q_nb))
 
@@ -212,7 +237,22 @@ def matrix_to_quaternion(R: Floats) -> Floats:
 
 
 def rotvec_to_quaternion(v: Floats) -> Floats:
-    """Quaternion, shape (..., 4) with ``w >= 0``, of the rotation by ``|v|`` rad about `v` (000 eq. 2.6.38)."""
+    """Quaternion, shape (..., 4) with ``w >= 0``, of the rotation by ``|v|`` rad about `v` (000 eq. 2.6.38).
+
+    Parameters
+    ----------
+    v : ndarray, shape (..., 3)
+        rad.
+
+    Returns
+    -------
+    ndarray, shape (..., 4)
+        Order (x, y, z, w).
+
+    Raises
+    ------
+    ShapeError
+    """
     v = trailing("v", v, 3)
     half = 0.5 * np.linalg.norm(v, axis=-1, keepdims=True)
     return _positive(np.concatenate((0.5 * np.sinc(half / np.pi) * v, np.cos(half)), axis=-1))
@@ -240,12 +280,42 @@ def quaternion_to_rotvec(q: Floats) -> Floats:
 
 
 def rotvec_to_matrix(v: Floats) -> Floats:
-    """Matrix ``exp([v]x)``, shape (..., 3, 3), of a rotation vector in rad, shape (..., 3)."""
+    """Matrix ``exp([v]x)``, shape (..., 3, 3), of a rotation vector in rad, shape (..., 3).
+
+    Parameters
+    ----------
+    v : ndarray, shape (..., 3)
+        rad.
+
+    Returns
+    -------
+    ndarray, shape (..., 3, 3)
+        A rotation.
+
+    Raises
+    ------
+    ShapeError
+    """
     return quaternion_to_matrix(rotvec_to_quaternion(v))
 
 
 def matrix_to_rotvec(R: Floats) -> Floats:
-    """Rotation vector, shape (..., 3), rad, of length 0 to pi, of a rotation matrix, shape (..., 3, 3)."""
+    """Rotation vector, shape (..., 3), rad, of length 0 to pi, of a rotation matrix, shape (..., 3, 3).
+
+    Parameters
+    ----------
+    R : ndarray, shape (..., 3, 3)
+        A rotation.
+
+    Returns
+    -------
+    ndarray, shape (..., 3)
+        rad.
+
+    Raises
+    ------
+    ShapeError
+    """
     return quaternion_to_rotvec(matrix_to_quaternion(R))
 
 
@@ -253,6 +323,20 @@ def product(q: Floats, p: Floats) -> Floats:
     """Hamilton product ``q p``, shape (..., 4): first the rotation `p`, then `q` (000 eqs. 2.6.25-2.6.27).
 
     ``quaternion_to_matrix(product(q, p)) = quaternion_to_matrix(q) @ quaternion_to_matrix(p)``.
+
+    Parameters
+    ----------
+    q, p : ndarray, shape (..., 4)
+        Order (x, y, z, w).
+
+    Returns
+    -------
+    ndarray, shape (..., 4)
+        As long as both lengths multiplied.
+
+    Raises
+    ------
+    ShapeError
     """
     x, y, z, w = np.moveaxis(trailing("q", q, 4), -1, 0)
     X, Y, Z, W = np.moveaxis(trailing("p", p, 4), -1, 0)
@@ -268,12 +352,43 @@ def product(q: Floats, p: Floats) -> Floats:
 
 
 def conjugate(q: Floats) -> Floats:
-    """The inverse of a unit quaternion, shape (..., 4) (000 eqs. 2.6.31, 2.6.32)."""
+    """The inverse of a unit quaternion, shape (..., 4) (000 eqs. 2.6.31, 2.6.32).
+
+    Parameters
+    ----------
+    q : ndarray, shape (..., 4)
+        Of length 1, order (x, y, z, w).
+
+    Returns
+    -------
+    ndarray, shape (..., 4)
+        Order (x, y, z, w).
+
+    Raises
+    ------
+    ShapeError
+    """
     return trailing("q", q, 4) * np.array([-1.0, -1.0, -1.0, 1.0])
 
 
 def normalised(q: Floats) -> Floats:
-    """Quaternion of unit length, shape (..., 4); raises `RangeError` for a zero quaternion."""
+    """Quaternion of unit length, shape (..., 4); raises `RangeError` for a zero quaternion.
+
+    Parameters
+    ----------
+    q : ndarray, shape (..., 4)
+        Order (x, y, z, w).
+
+    Returns
+    -------
+    ndarray, shape (..., 4)
+        Of the same sign.
+
+    Raises
+    ------
+    ShapeError, RangeError
+        For a zero quaternion.
+    """
     q = trailing("q", q, 4)
     # Divided by the largest component first: squares of the smallest floats vanish.
     scale = np.max(np.abs(q), axis=-1, keepdims=True, initial=0.0)
@@ -302,12 +417,38 @@ def error_between(estimate: Floats, truth: Floats) -> Floats:
 
 
 def angle_between(a: Floats, b: Floats) -> float:
-    """Angle of the rotation that separates two mountings, rad, in [0, pi]."""
+    """Angle of the rotation that separates two mountings, rad, in [0, pi].
+
+    Parameters
+    ----------
+    a, b : ndarray, shape (3, 3)
+        Rotations.
+
+    Returns
+    -------
+    float
+        rad.
+    """
     return float(np.linalg.norm(error_between(a, b)))
 
 
 def skew(v: Floats) -> Floats:
-    """Cross-product matrix ``[v]x`` with ``[v]x @ u = v x u``, shape (..., 3) to (..., 3, 3)."""
+    """Cross-product matrix ``[v]x`` with ``[v]x @ u = v x u``, shape (..., 3) to (..., 3, 3).
+
+    Parameters
+    ----------
+    v : ndarray, shape (..., 3)
+        In any unit.
+
+    Returns
+    -------
+    ndarray, shape (..., 3, 3)
+        In that unit.
+
+    Raises
+    ------
+    ShapeError
+    """
     v = trailing("v", v, 3)
     S = np.zeros((*v.shape, 3))
     S[..., 2, 1], S[..., 0, 2], S[..., 1, 0] = v[..., 0], v[..., 1], v[..., 2]
@@ -315,12 +456,34 @@ def skew(v: Floats) -> Floats:
 
 
 def wrap(angle: Floats) -> Floats:
-    """Angle(s) wrapped to (-pi, pi]."""
+    """Angle(s) wrapped to (-pi, pi].
+
+    Parameters
+    ----------
+    angle : ndarray, shape (...)
+        rad.
+
+    Returns
+    -------
+    ndarray, shape (...)
+        rad.
+    """
     return np.pi - np.mod(np.pi - np.asarray(angle, dtype=np.float64), 2.0 * np.pi)
 
 
 def xyzw_to_wxyz(quaternion: Floats) -> Floats:
-    """From scipy's scalar-last order to viser's scalar-first order, shape (..., 4)."""
+    """From scipy's scalar-last order to viser's scalar-first order, shape (..., 4).
+
+    Parameters
+    ----------
+    quaternion : ndarray, shape (..., 4)
+        Order (x, y, z, w).
+
+    Returns
+    -------
+    ndarray, shape (..., 4)
+        Order (w, x, y, z).
+    """
     return np.roll(np.asarray(quaternion, dtype=np.float64), 1, axis=-1)
 
 

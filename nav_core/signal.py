@@ -98,7 +98,18 @@ class Ticks:
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, Floats | Integers]) -> Ticks:
-        """Ticks from what `to_arrays` gave."""
+        """Ticks from what `to_arrays` gave.
+
+        Parameters
+        ----------
+        arrays : Mapping[str, ndarray or Integers]
+            By name; shapes as in `Ticks`.
+
+        Returns
+        -------
+        Ticks
+            With the same numbers.
+        """
         return cls(
             rate=float(arrays["rate"]),
             index=np.asarray(arrays["index"], dtype=np.int64),
@@ -113,7 +124,7 @@ def attenuation(frequency: Floats, rate: float = TICK_RATE) -> Floats:
 
     Parameters
     ----------
-    frequency : ndarray
+    frequency : ndarray, shape (...)
         Hz.
     rate : float
         Of the ticks, Hz.
@@ -154,7 +165,22 @@ def _accumulate(t: Floats, f: Floats, rate: float, first: int, weight: Floats, m
 
 
 def accumulate_reference(t: Floats, f: Floats, rate: float) -> Ticks:
-    """What `decimate` computes, in plain array code."""
+    """What `decimate` computes, in plain array code.
+
+    Parameters
+    ----------
+    t : ndarray, shape (n,)
+        Box clock, s.
+    f : ndarray, shape (n, 3)
+        Specific force, m/s².
+    rate : float
+        Of the ticks, Hz.
+
+    Returns
+    -------
+    Ticks
+        Only those with weight.
+    """
     half = KERNEL_TICKS // 2
     base = np.floor(t * rate).astype(np.int64)
     offsets = np.arange(1 - half, half + 1)

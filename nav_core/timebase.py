@@ -109,6 +109,11 @@ def jitter(t: Floats) -> Jitter:
     t : ndarray, shape (n,)
         Increasing, s; at least two.
 
+    Returns
+    -------
+    Jitter
+        Hz and s.
+
     Raises
     ------
     TooLittleDataError
@@ -179,7 +184,18 @@ class ClockFit:
     scatter: float
 
     def utc(self, t: Floats) -> Floats:
-        """Unix time of box times, s."""
+        """Unix time of box times, s.
+
+        Parameters
+        ----------
+        t : ndarray, shape (n,)
+            Box clock, s.
+
+        Returns
+        -------
+        ndarray, shape (n,)
+            Unix time, s.
+        """
         return self.utc_ref + (1.0 + self.drift) * (t - self.t_ref)
 
 

@@ -23,6 +23,16 @@ def kernel(function: Callable[P, R]) -> Callable[P, R]:
 
     Numba is imported here and not above, so that a process that only needs the records
     (the API) never loads it.
+
+    Parameters
+    ----------
+    function : Callable[P, R]
+        Of numbers, arrays and named tuples of them.
+
+    Returns
+    -------
+    Callable[P, R]
+        To be called alike.
     """
     from numba import njit
 
@@ -30,7 +40,26 @@ def kernel(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def trailing(name: str, values: Floats, *axes: int) -> Floats:
-    """`values` as floats whose last axes are `axes`, with any leading ones; else `ShapeError` under this name."""
+    """`values` as floats whose last axes are `axes`, with any leading ones; else `ShapeError` under this name.
+
+    Parameters
+    ----------
+    name : str
+        What it is, for the error.
+    values : ndarray, shape (..., *axes)
+        In any unit.
+    *axes : int
+        Lengths of the last axes.
+
+    Returns
+    -------
+    ndarray, shape (..., *axes)
+        The same numbers.
+
+    Raises
+    ------
+    ShapeError
+    """
     array = np.asarray(values, dtype=np.float64)
     if array.shape[array.ndim - len(axes) :] != axes or array.ndim < len(axes):
         raise ShapeError(name, array.shape, f"(..., {', '.join(map(str, axes))})")

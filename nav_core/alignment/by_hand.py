@@ -51,7 +51,7 @@ def tilt_errors(angle: Floats | float) -> tuple[Floats, Floats]:
 
     Parameters
     ----------
-    angle : ndarray or float
+    angle : ndarray or float, shape (...)
         rad.
 
     Returns
@@ -65,6 +65,16 @@ def tilt_errors(angle: Floats | float) -> tuple[Floats, Floats]:
 
 def largest_tilt(tolerance: float = TOLERANCE) -> float:
     """Largest tilt that a tolerance of the upright axis lets through, rad: 18.19° at 5 % (001 §3.2).
+
+    Parameters
+    ----------
+    tolerance : float
+        Share of gravity that the upright axis may miss, between 0 and 1.
+
+    Returns
+    -------
+    float
+        rad, between 0 and pi/2.
 
     Raises
     ------

@@ -47,6 +47,18 @@ class Attitude:
 def unit(name: str, v: Floats) -> Floats:
     """Direction of each vector, shape (..., 3).
 
+    Parameters
+    ----------
+    name : str
+        What the vectors are, for the error.
+    v : ndarray, shape (..., 3)
+        In any frame and unit.
+
+    Returns
+    -------
+    ndarray, shape (..., 3)
+        Of length 1, in the frame of `v`.
+
     Raises
     ------
     ShapeError, RangeError

@@ -106,6 +106,20 @@ def level(f: Floats, *, gravity: float, sigma: float) -> Levelling:
 def mean_sigma(bias: float, density: float, duration: float) -> float:
     """1-sigma of a mean over `duration` s: what of the bias is unknown, and white noise of `density` per root Hz.
 
+    Parameters
+    ----------
+    bias : float
+        1-sigma of the bias, in any unit.
+    density : float
+        Of the white noise, that unit per root Hz.
+    duration : float
+        s.
+
+    Returns
+    -------
+    float
+        In the unit of `bias`.
+
     Raises
     ------
     RangeError

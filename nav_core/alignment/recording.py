@@ -158,6 +158,16 @@ def align(
 def longest_rest(inertial: Inertial) -> Rest | None:
     """The longest stretch at rest, or None.
 
+    Parameters
+    ----------
+    inertial : Inertial
+        Of a recording, A-frame.
+
+    Returns
+    -------
+    Rest or None
+        Its bounds, box clock, s, and the means of its readings, A-frame; None where the box never rests.
+
     Raises
     ------
     TooLittleDataError

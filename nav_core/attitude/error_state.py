@@ -60,7 +60,24 @@ class Start:
 
     @classmethod
     def of(cls, q_nb: Floats, bias: Floats, sigma_attitude: float, sigma_bias: float) -> Start:
-        """With independent errors, alike on all axes, rad and rad/s."""
+        """With independent errors, alike on all axes, rad and rad/s.
+
+        Parameters
+        ----------
+        q_nb : ndarray, shape (4,)
+            Attitude at the start, b to n.
+        bias : ndarray, shape (3,)
+            Of the gyro, rad/s, b axes.
+        sigma_attitude : float
+            1-sigma of the attitude about each axis of b, rad.
+        sigma_bias : float
+            1-sigma of the bias on each axis, rad/s.
+
+        Returns
+        -------
+        Start
+            With a diagonal covariance.
+        """
         return cls(q_nb, bias, np.diag(np.repeat([sigma_attitude**2, sigma_bias**2], 3)))
 
 
@@ -289,7 +306,18 @@ def estimate(
 
 
 def mean_rates(w: Floats) -> Floats:
-    """Rate over each step as the mean of the samples at its ends, shape (n + 1, 3) to (n, 3)."""
+    """Rate over each step as the mean of the samples at its ends, shape (n + 1, 3) to (n, 3).
+
+    Parameters
+    ----------
+    w : ndarray, shape (n + 1, 3)
+        Angular rate at the ends of the steps, rad/s, b axes.
+
+    Returns
+    -------
+    ndarray, shape (n, 3)
+        rad/s, b axes.
+    """
     return 0.5 * (w[1:] + w[:-1])
 
 

@@ -18,6 +18,21 @@ def matrices(w: Vector, dt: float, N2: float, K2: float, exact: bool, Phi: Float
     """Write transition and noise of a step into `Phi` and `Q` (`error_state.transition`, `error_state.process_noise`).
 
     Only what depends on the rate is written: `Phi` must come as the identity, `Q` as zeros.
+
+    Parameters
+    ----------
+    w : tuple of 3 floats
+        Angular rate of the step, rad/s, b axes.
+    dt : float
+        s.
+    N2 : float
+        Square of the gyro's white noise, (rad/s)²/Hz.
+    K2 : float
+        Square of its rate random walk, (rad/s²)²/Hz.
+    exact : bool
+        Closed forms (002 eqs. 7.23-7.28); else the approximation of first order.
+    Phi, Q : ndarray, shape (6, 6)
+        Attitude error (rad, b axes) and bias error (rad/s); overwritten.
     """
     x, y, z = w
     sine, cosine, third, fourth, fifth = 1.0, 0.0, 0.0, 0.0, 0.0
@@ -53,7 +68,15 @@ def matrices(w: Vector, dt: float, N2: float, K2: float, exact: bool, Phi: Float
 
 @kernel
 def propagate(P: Floats, Phi: Floats, Q: Floats, half: Floats) -> None:
-    """Replace `P` by ``Phi P Phi' + Q`` where the lower half of `Phi` is ``[0 I]``; `half` (3, 6) is scratch."""
+    """Replace `P` by ``Phi P Phi' + Q`` where the lower half of `Phi` is ``[0 I]``; `half` (3, 6) is scratch.
+
+    Parameters
+    ----------
+    P, Phi, Q : ndarray, shape (6, 6)
+        Of `matrices`; `P` is overwritten.
+    half : ndarray, shape (3, 6)
+        Overwritten.
+    """
     for i in range(3):
         for j in range(6):
             total = 0.0
@@ -73,7 +96,20 @@ def propagate(P: Floats, Phi: Floats, Q: Floats, half: Floats) -> None:
 
 @kernel
 def into_body(q: Floats, v: Floats) -> Vector:
-    """``R_bn v``: a vector of n in b, by the quaternion from b to n."""
+    """``R_bn v``: a vector of n in b, by the quaternion from b to n.
+
+    Parameters
+    ----------
+    q : ndarray, shape (4,)
+        From b to n.
+    v : ndarray, shape (3,)
+        n axes.
+
+    Returns
+    -------
+    tuple of 3 floats
+        b axes, in the unit of `v`.
+    """
     u = (-q[0], -q[1], -q[2])
     r = (v[0], v[1], v[2])
     t = cross(u, r)
@@ -84,7 +120,19 @@ def into_body(q: Floats, v: Floats) -> Vector:
 
 @kernel
 def correct(q: Floats, b: Floats, dx: Floats, turn: Floats) -> None:
-    """Fold the estimated errors into quaternion and bias (002 eqs. 7.51-7.55); `turn` is scratch."""
+    """Fold the estimated errors into quaternion and bias (002 eqs. 7.51-7.55); `turn` is scratch.
+
+    Parameters
+    ----------
+    q : ndarray, shape (4,)
+        From b to n; overwritten.
+    b : ndarray, shape (3,)
+        Bias of the gyro, rad/s, b axes; overwritten.
+    dx : ndarray, shape (6,)
+        Attitude error, rad, b axes, and bias error, rad/s.
+    turn : ndarray, shape (4,)
+        Overwritten.
+    """
     half2 = 0.25 * (dx[0] * dx[0] + dx[1] * dx[1] + dx[2] * dx[2])
     for i in range(3):
         turn[i] = 0.5 * dx[i]
@@ -97,7 +145,17 @@ def correct(q: Floats, b: Floats, dx: Floats, turn: Floats) -> None:
 
 @kernel
 def star_residual(q: Floats, star: Floats, turn: Floats, residual: Floats) -> None:
-    """Rotation from the estimate to the measured attitude about b, rad (002 eq. 7.30); `turn` is scratch."""
+    """Rotation from the estimate to the measured attitude about b, rad (002 eq. 7.30); `turn` is scratch.
+
+    Parameters
+    ----------
+    q, star : ndarray, shape (4,)
+        From b to n, estimated and measured.
+    turn : ndarray, shape (4,)
+        Overwritten.
+    residual : ndarray, shape (3,)
+        rad, b axes; overwritten.
+    """
     turn[0], turn[1], turn[2], turn[3] = -q[0], -q[1], -q[2], q[3]
     multiply(turn, star, turn)
     sign = 2.0 if turn[3] >= 0.0 else -2.0
@@ -107,7 +165,21 @@ def star_residual(q: Floats, star: Floats, turn: Floats, residual: Floats) -> No
 
 @kernel
 def direction_residual(q: Floats, known: Floats, seen: Floats, residual: Floats, H: Floats) -> None:
-    """Measured less expected vector in b, and ``H = [[expected]x 0]`` (002 eqs. 7.38, 7.39)."""
+    """Measured less expected vector in b, and ``H = [[expected]x 0]`` (002 eqs. 7.38, 7.39).
+
+    Parameters
+    ----------
+    q : ndarray, shape (4,)
+        From b to n.
+    known : ndarray, shape (3,)
+        The vector in n axes.
+    seen : ndarray, shape (3,)
+        As measured, in b axes and the unit of `known`.
+    residual : ndarray, shape (3,)
+        In that unit; overwritten.
+    H : ndarray, shape (3, 6)
+        Derivative by attitude error (rad, b axes) and bias error; the left half is overwritten.
+    """
     x, y, z = into_body(q, known)
     residual[0], residual[1], residual[2] = seen[0] - x, seen[1] - y, seen[2] - z
     H[0, 1], H[0, 2], H[1, 0] = -z, y, z
@@ -134,16 +206,25 @@ def run(
     Parameters
     ----------
     q, b, P : ndarray, shape (4,), (3,), (6, 6)
-        Start; changed.
+        Quaternion from b to n, bias of the gyro, rad/s, and covariance at the start; changed.
     w : ndarray, shape (n, 3)
+        Angular rate over each step, b axes, rad/s.
     dt : float
-    noise : N², K².
+        s.
+    noise : tuple of 2 floats
+        N², (rad/s)²/Hz, and K², (rad/s²)²/Hz.
     exact : bool
-    tracker : measured attitudes, shape (n, 4) or (0, 4) for none, and their variance.
-    directions : measured (n, m, 3), known (m, 3), variances (m,).
+        As in `matrices`.
+    tracker : tuple
+        Measured attitudes, shape (n, 4), or (0, 4) for none, and their variance, rad².
+    directions : tuple of ndarray
+        Measured (n, m, 3), b axes, known (m, 3), n axes, variances (m,).
     gate : float
-    out : quaternions (n, 4), biases (n, 3), covariances (n, 6, 6).
-    checks : NIS, components used, components left out, each (n,).
+        On the squared normalised innovation.
+    out : tuple of ndarray
+        Quaternions (n, 4), biases (n, 3), covariances (n, 6, 6); overwritten.
+    checks : tuple of ndarray
+        NIS, components used, components left out, each of shape (n,); overwritten.
     """
     stars, star_variance = tracker
     seen, known, variances = directions

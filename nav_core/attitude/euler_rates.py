@@ -40,7 +40,24 @@ def euler_rates(euler: Floats, w_b: Floats) -> Floats:
 
 
 def body_rate(euler: Floats, rates: Floats) -> Floats:
-    """Body rate of b against n, b axes, rad/s, shape (..., 3), from the rates of roll, pitch, yaw (000 eq. 2.6.20)."""
+    """Body rate of b against n, b axes, rad/s, shape (..., 3), from the rates of roll, pitch, yaw (000 eq. 2.6.20).
+
+    Parameters
+    ----------
+    euler : ndarray, shape (..., 3)
+        Roll, pitch, yaw of b against n, rad.
+    rates : ndarray, shape (..., 3)
+        Their rates, rad/s.
+
+    Returns
+    -------
+    ndarray, shape (..., 3)
+        rad/s, b axes.
+
+    Raises
+    ------
+    ShapeError
+    """
     roll, pitch, _ = np.moveaxis(trailing("euler", euler, 3), -1, 0)
     roll_rate, pitch_rate, yaw_rate = np.moveaxis(trailing("rates", rates, 3), -1, 0)
     p = roll_rate - yaw_rate * np.sin(pitch)

@@ -19,7 +19,15 @@ SMALL_ANGLE2 = 1e-4
 
 @kernel
 def multiply(q: Floats, p: Floats, out: Floats) -> None:
-    """Write the Hamilton product ``q p`` into `out`, which may be either of them (000 eq. 2.6.27)."""
+    """Write the Hamilton product ``q p`` into `out`, which may be either of them (000 eq. 2.6.27).
+
+    Parameters
+    ----------
+    q, p : ndarray, shape (4,)
+        Order (x, y, z, w).
+    out : ndarray, shape (4,)
+        Overwritten.
+    """
     x = q[3] * p[0] + q[0] * p[3] + q[1] * p[2] - q[2] * p[1]
     y = q[3] * p[1] - q[0] * p[2] + q[1] * p[3] + q[2] * p[0]
     z = q[3] * p[2] + q[0] * p[1] - q[1] * p[0] + q[2] * p[3]
@@ -29,7 +37,13 @@ def multiply(q: Floats, p: Floats, out: Floats) -> None:
 
 @kernel
 def normalise(q: Floats) -> None:
-    """Scale a quaternion to unit length, in place."""
+    """Scale a quaternion to unit length, in place.
+
+    Parameters
+    ----------
+    q : ndarray, shape (4,)
+        Not zero; overwritten.
+    """
     scale = 1.0 / np.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
     for i in range(4):
         q[i] *= scale
@@ -37,7 +51,15 @@ def normalise(q: Floats) -> None:
 
 @kernel
 def quaternion_of(v: Floats, q: Floats) -> None:
-    """Write the quaternion of the rotation vector `v`, rad, into `q` (000 eq. 2.6.38)."""
+    """Write the quaternion of the rotation vector `v`, rad, into `q` (000 eq. 2.6.38).
+
+    Parameters
+    ----------
+    v : ndarray, shape (3,)
+        rad.
+    q : ndarray, shape (4,)
+        Order (x, y, z, w); overwritten.
+    """
     square = v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
     if square < SMALL_ANGLE2:
         scale = 0.5 - square / 48.0 + square * square / 3840.0
@@ -51,19 +73,54 @@ def quaternion_of(v: Floats, q: Floats) -> None:
 
 @kernel
 def cross(a: Vector, b: Vector) -> Vector:
-    """``a x b``."""
+    """``a x b``.
+
+    Parameters
+    ----------
+    a, b : tuple of 3 floats
+        In the same axes.
+
+    Returns
+    -------
+    tuple of 3 floats
+        In these axes.
+    """
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
 @kernel
 def total(a: Vector, scale: float, b: Vector) -> Vector:
-    """``a + scale b``."""
+    """``a + scale b``.
+
+    Parameters
+    ----------
+    a, b : tuple of 3 floats
+        In the same axes and unit.
+    scale : float
+        Factor on `b`.
+
+    Returns
+    -------
+    tuple of 3 floats
+        In these axes.
+    """
     return a[0] + scale * b[0], a[1] + scale * b[1], a[2] + scale * b[2]
 
 
 @kernel
 def rodrigues(v: Vector) -> tuple[float, float]:
-    """Factors s and c of ``exp([v]x) = I + s [v]x + c [v]x [v]x``, `v` in rad (Groves 2013 eq. 5.73)."""
+    """Factors s and c of ``exp([v]x) = I + s [v]x + c [v]x [v]x``, `v` in rad (Groves 2013 eq. 5.73).
+
+    Parameters
+    ----------
+    v : tuple of 3 floats
+        rad.
+
+    Returns
+    -------
+    tuple of float
+        ``sin(|v|) / |v|`` and ``(1 - cos(|v|)) / |v|²``.
+    """
     square = v[0] * v[0] + v[1] * v[1] + v[2] * v[2]
     if square < SMALL_ANGLE2:
         return 1.0 - square / 6.0 * (1.0 - square / 20.0), 0.5 - square / 24.0 * (1.0 - square / 30.0)
@@ -77,6 +134,15 @@ def turn(C: Floats, frame: Vector, body: Vector) -> None:
     """Replace the attitude `C` by ``exp(-[frame]x) C exp([body]x)``; both are rotation vectors, rad.
 
     Row by row and column by column, so that no matrix is made.
+
+    Parameters
+    ----------
+    C : ndarray, shape (3, 3)
+        From b to a frame; overwritten.
+    frame : tuple of 3 floats
+        By which the frame has turned, rad, frame axes.
+    body : tuple of 3 floats
+        By which b has turned, rad, b axes.
     """
     s, c = rodrigues(body)
     for i in range(3):

@@ -14,7 +14,22 @@ from nav_core.typing import Floats, trailing
 
 
 def orthonormality_error(C: Floats) -> Floats:
-    """004's error matrix ``E = C' C - I``, shape (..., 3, 3); zero for a rotation."""
+    """004's error matrix ``E = C' C - I``, shape (..., 3, 3); zero for a rotation.
+
+    Parameters
+    ----------
+    C : ndarray, shape (..., 3, 3)
+        Almost a rotation.
+
+    Returns
+    -------
+    ndarray, shape (..., 3, 3)
+        Symmetric.
+
+    Raises
+    ------
+    ShapeError
+    """
     given = trailing("C", C, 3, 3)
     return np.swapaxes(given, -1, -2) @ given - np.eye(3)
 
@@ -80,6 +95,21 @@ def normalise_series(q: Floats) -> Floats:
     """Quaternion of almost unit length by 004's first-order formula ``q (1 + D/2)``, ``D = 1 - |q|²``, shape (..., 4).
 
     What remains of a small D is 3 D²/8; `nav_core.rotation.normalised` is exact.
+
+    Parameters
+    ----------
+    q : ndarray, shape (..., 4)
+        Order (x, y, z, w).
+
+    Returns
+    -------
+    ndarray, shape (..., 4)
+        Of length 1 to first order in ``1 - |q|²``.
+
+    Raises
+    ------
+    ShapeError, RangeError
+        As `nav_core.rotation.normalised`.
     """
     # The exact function checks the shape and refuses zero on the way.
     unit = normalised(q)

@@ -114,7 +114,26 @@ def propagate_two_speed(q_nb: Floats, turns: Floats, w_in: Floats, period: float
 
 
 def body_rate_against(w_ib: Floats, C_nb: Floats, w_in: Floats) -> Floats:
-    """Rate of b against n, b axes, shape (..., 3), rad/s: ``w_ib - C_nb' w_in`` (004; 000 eq. 2.5.22)."""
+    """Rate of b against n, b axes, shape (..., 3), rad/s: ``w_ib - C_nb' w_in`` (004; 000 eq. 2.5.22).
+
+    Parameters
+    ----------
+    w_ib : ndarray, shape (..., 3)
+        Rate of b against i, rad/s, b axes.
+    C_nb : ndarray, shape (..., 3, 3)
+        From b to n.
+    w_in : ndarray, shape (..., 3)
+        Rate of n against i, rad/s, n axes.
+
+    Returns
+    -------
+    ndarray, shape (..., 3)
+        rad/s, b axes.
+
+    Raises
+    ------
+    ShapeError
+    """
     turning = np.einsum("...ji,...j->...i", trailing("C_nb", C_nb, 3, 3), trailing("w_in", w_in, 3))
     return trailing("w_ib", w_ib, 3) - turning
 

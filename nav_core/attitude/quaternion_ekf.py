@@ -55,7 +55,22 @@ class Correction(NamedTuple):
 
 
 def rate_matrix(q: Floats) -> Floats:
-    """``X`` with ``q' = X w / 2``, shape (4, 3): twice ``D_q`` of 000 eq. 7.2.9, in the order (x, y, z, w)."""
+    """``X`` with ``q' = X w / 2``, shape (4, 3): twice ``D_q`` of 000 eq. 7.2.9, in the order (x, y, z, w).
+
+    Parameters
+    ----------
+    q : ndarray, shape (4,)
+        Order (x, y, z, w).
+
+    Returns
+    -------
+    ndarray, shape (4, 3)
+        Times the rate in b axes, rad/s, halved: the derivative of `q`, 1/s.
+
+    Raises
+    ------
+    ShapeError
+    """
     x, y, z, w = trailing("q", q, 4)
     return np.array([[w, -z, y], [z, w, -x], [-y, x, w], [-x, -y, -z]])
 
@@ -188,7 +203,18 @@ def correct(state: QuaternionState, measured: Floats, variance: float, *, hold_b
 
 
 def nearest(q: Floats, other: Floats) -> Floats:
-    """`q` or its negative, which is the same rotation, whichever is nearer to `other`, shape (4,) (000 section 7.8)."""
+    """`q` or its negative, which is the same rotation, whichever is nearer to `other`, shape (4,) (000 section 7.8).
+
+    Parameters
+    ----------
+    q, other : ndarray, shape (4,)
+        Order (x, y, z, w).
+
+    Returns
+    -------
+    ndarray, shape (4,)
+        Its scalar product with `other` is not negative.
+    """
     return -q if float(q @ other) < 0.0 else q
 
 

@@ -71,7 +71,20 @@ class Case(NamedTuple):
 
 
 def case_of(drive: Drive, mounting: MountingEstimate) -> Case:
-    """Prepare a recording of at least four inertial samples."""
+    """Prepare a recording of at least four inertial samples.
+
+    Parameters
+    ----------
+    drive : Drive
+        One recording, A-frame.
+    mounting : MountingEstimate
+        Of the box; one without `R_va` is replaced by `levelled`, with a remark.
+
+    Returns
+    -------
+    Case
+        The recording in V axes, its lags, clock and remarks.
+    """
     inertial = drive.inertial
     remarks: list[Remark] = []
     if mounting.R_va is not None and mounting.sigma is not None:
@@ -103,7 +116,18 @@ def case_of(drive: Drive, mounting: MountingEstimate) -> Case:
 
 
 def levelled(f: Floats) -> Floats:
-    """Mounting of unknown heading that puts the usual specific force straight up, shape (3, 3)."""
+    """Mounting of unknown heading that puts the usual specific force straight up, shape (3, 3).
+
+    Parameters
+    ----------
+    f : ndarray, shape (n, 3)
+        Specific force, A-frame, m/s².
+
+    Returns
+    -------
+    ndarray, shape (3, 3)
+        ``R_va`` up to a turn about V's z axis.
+    """
     z = -np.median(f, axis=0)
     size = float(np.linalg.norm(z))
     z = z / size if size > 1.0 else np.array([0.0, 0.0, 1.0])
@@ -115,7 +139,20 @@ def levelled(f: Floats) -> Floats:
 
 
 def until(drive: Drive, t: float) -> Drive:
-    """The recording before a moment."""
+    """The recording before a moment.
+
+    Parameters
+    ----------
+    drive : Drive
+        One recording.
+    t : float
+        Box clock, s.
+
+    Returns
+    -------
+    Drive
+        Samples and fixes before `t`.
+    """
     inertial, gnss = drive.inertial, drive.gnss
     n, k = int(np.searchsorted(inertial.t, t)), int(np.searchsorted(gnss.t, t))
 

@@ -55,6 +55,11 @@ def saturated(f_a: Floats, known: float | None = None) -> Saturation:
     known : float, optional
         Full scale where the recording has shown it elsewhere, m/s².
 
+    Returns
+    -------
+    Saturation
+        Which samples, shape (n, 3), and at what, m/s².
+
     Notes
     -----
     A calibration that mixes the axes bends the flat top; then nothing is found, and nothing is claimed.

@@ -68,7 +68,18 @@ class Curve(NamedTuple):
     misfit: float
 
     def sigma(self, weights: Floats) -> float:
-        """1 sigma of a weighted sum over the samples, weights (n,)."""
+        """1 sigma of a weighted sum over the samples, weights (n,).
+
+        Parameters
+        ----------
+        weights : ndarray, shape (n,)
+            One per sample, in any unit.
+
+        Returns
+        -------
+        float
+            m/s² times the unit of the weights.
+        """
         k = np.clip(np.searchsorted(self.grid, self.times), 1, self.grid.size - 1)
         share = np.clip((self.times - self.grid[k - 1]) / (self.grid[k] - self.grid[k - 1]), 0.0, 1.0)
         total = np.bincount(k - 1, weights * (1.0 - share), self.grid.size)
@@ -147,7 +158,20 @@ class _Fit(NamedTuple):
 
 
 def beta(t: Floats, theta: Floats) -> Floats:
-    """Beta pulse: theta has its start, s, and the logarithms of length, top, p and q."""
+    """Beta pulse: theta has its start, s, and the logarithms of length, top, p and q.
+
+    Parameters
+    ----------
+    t : ndarray, shape (n,)
+        s.
+    theta : ndarray, shape (5,)
+        Start, s, then the logarithms of length (s), top (m/s²), p and q.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Magnitude of the deceleration, m/s²; 0 outside of the pulse.
+    """
     begin, length = theta[0], np.exp(theta[1])
     p, q = np.exp(theta[3]), np.exp(theta[4])
     x = np.clip((t - begin) / length, 1e-12, 1.0 - 1e-12)

@@ -63,6 +63,20 @@ def two_passes(x: Floats, rate: float, corner: float) -> Floats:
     """Two-pole Butterworth of this corner, Hz, forward and backward along the first axis.
 
     The recursion starts as if the ends had always been as the first and last 20 ms are.
+
+    Parameters
+    ----------
+    x : ndarray, shape (n, ...)
+        Evenly sampled, in any unit.
+    rate : float
+        Hz.
+    corner : float
+        Of a single pass, -3 dB, Hz.
+
+    Returns
+    -------
+    ndarray, shape (n, ...)
+        Without delay.
     """
     sos = np.asarray(butter(2, corner, fs=rate, output="sos"))
     pad = min(max(round(0.5 * rate), 12), 20_000)
@@ -77,6 +91,18 @@ def two_passes(x: Floats, rate: float, corner: float) -> Floats:
 def low_pass(x: Floats, rate: float, cutoff: float) -> Floats:
     """Four-pole phaseless Butterworth that is -3 dB at `cutoff`, Hz, after both passes.
 
+    Parameters
+    ----------
+    x : ndarray, shape (n, ...)
+        Evenly sampled, in any unit.
+    rate, cutoff : float
+        Hz.
+
+    Returns
+    -------
+    ndarray, shape (n, ...)
+        Without delay.
+
     Raises
     ------
     RateError
@@ -90,7 +116,22 @@ def low_pass(x: Floats, rate: float, cutoff: float) -> Floats:
 
 
 def moving_mean(x: Floats, rate: float, span: float) -> Floats:
-    """Mean over `span` s about each sample, along the first axis; shorter at the ends."""
+    """Mean over `span` s about each sample, along the first axis; shorter at the ends.
+
+    Parameters
+    ----------
+    x : ndarray, shape (n, ...)
+        Evenly sampled, in any unit.
+    rate : float
+        Hz.
+    span : float
+        s.
+
+    Returns
+    -------
+    ndarray, shape (n, ...)
+        In the unit of `x`.
+    """
     half = 0.5 * span * rate
     total = np.concatenate([np.zeros((1, *x.shape[1:])), np.cumsum(x, axis=0)])
     edges = np.arange(x.shape[0] + 1, dtype=np.float64)
@@ -102,7 +143,22 @@ def moving_mean(x: Floats, rate: float, span: float) -> Floats:
 
 
 def evenly(t: Floats, x: Floats) -> tuple[Floats, float]:
-    """Samples on an even grid of the median step from the first on, shape as `x`, and its rate, Hz."""
+    """Samples on an even grid of the median step from the first on, shape as `x`, and its rate, Hz.
+
+    Parameters
+    ----------
+    t : ndarray, shape (n,)
+        Increasing, s.
+    x : ndarray, shape (n, k)
+        In any unit.
+
+    Returns
+    -------
+    values : ndarray, shape (m, k)
+        Linear between the samples.
+    rate : float
+        Hz.
+    """
     step = float(np.median(np.diff(t)))
     grid = t[0] + step * np.arange(int((t[-1] - t[0]) / step + 1e-6) + 1)
     return np.column_stack([np.interp(grid, t, column) for column in x.T]), 1.0 / step

@@ -77,7 +77,18 @@ class Cloud(NamedTuple):
     chi2: float
 
     def component(self, axis: int) -> Estimate:
-        """One component, m/s."""
+        """One component, m/s.
+
+        Parameters
+        ----------
+        axis : int
+            0 forward, 1 right (V).
+
+        Returns
+        -------
+        Estimate
+            Mean and 95 % interval, m/s.
+        """
         return self._estimate(self.points[:, axis], float(self.mean[axis]))
 
     def resultant(self) -> Estimate:
@@ -93,11 +104,33 @@ class Cloud(NamedTuple):
         return Estimate(value, value + spread.low, value + spread.high)
 
     def of(self, values: Floats) -> Estimate:
-        """Mean and interval of any function of the points, shape (k,)."""
+        """Mean and interval of any function of the points, shape (k,).
+
+        Parameters
+        ----------
+        values : ndarray, shape (k,)
+            One per point, in any unit.
+
+        Returns
+        -------
+        Estimate
+            Weighted mean and 95 % interval, in that unit.
+        """
         return self._estimate(values, float(self.weights @ values))
 
     def reaching(self, hidden: float) -> Cloud:
-        """The same where more of the same may be missing: up to `hidden`, m/s, longer; the mean stays."""
+        """The same where more of the same may be missing: up to `hidden`, m/s, longer; the mean stays.
+
+        Parameters
+        ----------
+        hidden : float
+            Largest missing part, m/s.
+
+        Returns
+        -------
+        Cloud
+            Its points moved along the mean by up to `hidden` and across it by up to half as much either way.
+        """
         size = float(np.hypot(*self.mean))
         if hidden <= 0.0 or size < 1e-9:
             return self
@@ -115,7 +148,20 @@ class Cloud(NamedTuple):
 
 
 def quantiles(values: Floats, weights: Floats, at: tuple[float, ...]) -> list[float]:
-    """Quantiles of weighted points, halfway through each point's weight."""
+    """Quantiles of weighted points, halfway through each point's weight.
+
+    Parameters
+    ----------
+    values, weights : ndarray, shape (k,)
+        The weights add up to 1.
+    at : tuple of float
+        Probabilities, 0 to 1.
+
+    Returns
+    -------
+    list of float
+        One per probability, in the unit of `values`.
+    """
     order = np.argsort(values, kind="stable")
     share = np.cumsum(weights[order]) - 0.5 * weights[order]
     return [float(np.interp(each, share, values[order])) for each in at]

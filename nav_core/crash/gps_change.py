@@ -103,7 +103,18 @@ class After(NamedTuple):
 
 
 def lags_of(speed: float | None, course: float | None) -> Lags:
-    """Lags from a mounting estimate; what is not known is taken from the other, or from ordinary receivers."""
+    """Lags from a mounting estimate; what is not known is taken from the other, or from ordinary receivers.
+
+    Parameters
+    ----------
+    speed, course : float or None
+        s; None where not known.
+
+    Returns
+    -------
+    Lags
+        s, with their 1-sigma.
+    """
     known = [each for each in (speed, course) if each is not None]
     if not known:
         return Lags(UNKNOWN_LAG, UNKNOWN_LAG, UNKNOWN_LAG_SIGMA)
@@ -112,7 +123,18 @@ def lags_of(speed: float | None, course: float | None) -> Lags:
 
 
 def usable(gnss: Gnss) -> Gnss | None:
-    """Fixes with a speed that are not mere repetitions; None without any."""
+    """Fixes with a speed that are not mere repetitions; None without any.
+
+    Parameters
+    ----------
+    gnss : Gnss
+        Of a recording.
+
+    Returns
+    -------
+    Gnss or None
+        Without `hdop`, `sats` and `utc`.
+    """
     keep = gnss.fix & np.isfinite(gnss.speed)
     # A receiver whose position never changes gives none: by it, no fix is told from a repetition.
     if np.unique(gnss.lat[keep & np.isfinite(gnss.lat)]).size > 1:
@@ -124,13 +146,39 @@ def usable(gnss: Gnss) -> Gnss | None:
 
 
 def repeating(t: Floats, sigma: float) -> Floats:
-    """Covariance of the errors of fixes at these moments, shape (n, n): half white, half repeating."""
+    """Covariance of the errors of fixes at these moments, shape (n, n): half white, half repeating.
+
+    Parameters
+    ----------
+    t : ndarray, shape (n,)
+        s.
+    sigma : float
+        Of one fix, in any unit.
+
+    Returns
+    -------
+    ndarray, shape (n, n)
+        In the square of that unit.
+    """
     apart = np.abs(t[:, None] - t[None, :])
     return 0.5 * sigma**2 * (np.eye(t.size) + np.exp(-apart / REPEAT))
 
 
 def combine(z: Floats, C: Floats) -> tuple[float, float]:
-    """Best mean of measurements of one number with covariance `C`, and its 1 sigma."""
+    """Best mean of measurements of one number with covariance `C`, and its 1 sigma.
+
+    Parameters
+    ----------
+    z : ndarray, shape (n,)
+        In any unit.
+    C : ndarray, shape (n, n)
+        In its square; invertible.
+
+    Returns
+    -------
+    tuple of float
+        Weighted mean, no weight below zero, and its 1 sigma, in the unit of `z`.
+    """
     weight = np.linalg.solve(C, np.ones(z.size))
     total = float(weight.sum())
     # Strong correlation asks for weights beyond 0..1; they would amplify what is not modelled.

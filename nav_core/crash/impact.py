@@ -89,10 +89,16 @@ def impact_of(case: Case, window: Window, *, with_gps: bool = True) -> Impact:
     Parameters
     ----------
     case : Case
+        The recording.
     window : Window
         Of the case's stream.
     with_gps : bool
         Let the fixes take part; of a second blow soon after the first they cannot.
+
+    Returns
+    -------
+    Impact
+        Accelerations, m/s², and changes of velocity, m/s, in the V axes at time zero.
     """
     stream = case.stream
     t0 = float(stream.t[window.zero])
@@ -147,6 +153,20 @@ def structural(case: Case, blow: Blow, a: Floats) -> Floats:
     """Accelerations after CFC 60 where the sampling allows it, else as they are, shape (n, 3).
 
     SAE J211-1 has CFC 60 for structural accelerations; a plateau's maximum lies where ringing puts it otherwise.
+
+    Parameters
+    ----------
+    case : Case
+        Says the rate of sampling.
+    blow : Blow
+        Says the steps.
+    a : ndarray, shape (n, 3)
+        On the samples of `blow`, m/s².
+
+    Returns
+    -------
+    ndarray, shape (n, 3)
+        m/s², in the axes of `a`.
     """
     if case.rate < LEAST_RATE[60] * (1.0 - 1e-3) or np.ptp(blow.step[1:]) > 0.5 / case.rate:
         return a

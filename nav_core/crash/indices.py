@@ -34,6 +34,11 @@ def asi_2010(a: Floats, rate: float) -> float:
     rate : float
         Hz.
 
+    Returns
+    -------
+    float
+        Without unit.
+
     Raises
     ------
     RateError
@@ -49,7 +54,20 @@ def asi_2010(a: Floats, rate: float) -> float:
 
 
 def asi_1998(a: Floats, rate: float) -> float:
-    """Acceleration severity index by the 50 ms mean (EN 1317-1:1998); arguments as `asi_2010`."""
+    """Acceleration severity index by the 50 ms mean (EN 1317-1:1998); arguments as `asi_2010`.
+
+    Parameters
+    ----------
+    a : ndarray, shape (n, 3)
+        Acceleration, vehicle axes, m/s²; evenly sampled.
+    rate : float
+        Hz.
+
+    Returns
+    -------
+    float
+        Without unit.
+    """
     return _asi(moving_mean(a, rate, 0.050))
 
 

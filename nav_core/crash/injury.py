@@ -56,12 +56,38 @@ SECTORS = {"frontal": (-45.0, 45.0), "rear": (135.0, 225.0)}
 
 
 def probability(curve: Curve, delta_v: float) -> float:
-    """Probability of an injury of the curve's level at `delta_v`, m/s."""
+    """Probability of an injury of the curve's level at `delta_v`, m/s.
+
+    Parameters
+    ----------
+    curve : Curve
+        One of `CURVES`.
+    delta_v : float
+        Resultant, m/s.
+
+    Returns
+    -------
+    float
+        0 to 1.
+    """
     return float(1.0 / (1.0 + np.exp(-(curve.a + curve.b * delta_v / curve.unit))))
 
 
 def risks(delta_v: Estimate, pdof: Estimate | None) -> tuple[InjuryRisk, ...]:
-    """Risk by every curve that holds for a direction, the quoted one first."""
+    """Risk by every curve that holds for a direction, the quoted one first.
+
+    Parameters
+    ----------
+    delta_v : Estimate
+        Resultant, m/s.
+    pdof : Estimate or None
+        rad; None of an unknown mounting: then only curves for any direction hold.
+
+    Returns
+    -------
+    tuple of InjuryRisk
+        With the probabilities at the value and at both ends of the interval.
+    """
     out: list[InjuryRisk] = []
     for curve in CURVES:
         if curve.sector != "all" and not _within(pdof, *SECTORS[curve.sector]):

@@ -48,7 +48,20 @@ class Lacks(NamedTuple):
 
 
 def lacks_of(blow: Blow, rate: float) -> Lacks:
-    """What a blow lacks, at this many samples per second."""
+    """What a blow lacks, at this many samples per second.
+
+    Parameters
+    ----------
+    blow : Blow
+        Samples about an impact, m/s², box clock, s.
+    rate : float
+        Hz.
+
+    Returns
+    -------
+    Lacks
+        Missing start and end, s missing inside, and what both may hide, m/s.
+    """
     t, size = blow.t, np.hypot(blow.a[:, 0], blow.a[:, 1])
     starts = blow.zero == 0
     ends = bool(t[blow.last] < t[blow.end] + AFTER_END - 1.5 / rate)

@@ -23,7 +23,22 @@ FRONTAL = np.radians(45.0)
 
 
 def pulse_of(case: Case, impact: Impact, resultant: float) -> Pulse:
-    """The blow over time and its peak, mean and length."""
+    """The blow over time and its peak, mean and length.
+
+    Parameters
+    ----------
+    case : Case
+        The recording.
+    impact : Impact
+        The blow in it.
+    resultant : float
+        Delta-V, m/s.
+
+    Returns
+    -------
+    Pulse
+        Box clock from 50 ms before `t0` on; m/s² and m/s in V axes at `t0`.
+    """
     blow = impact.blow
     t0 = float(blow.t[blow.zero])
     begin = int(np.searchsorted(blow.t, t0 - SHOWN))
@@ -63,7 +78,24 @@ def _peak(case: Case, impact: Impact) -> tuple[float, str, float | None]:
 
 
 def indices_of(case: Case, impact: Impact, pdof: Estimate | None) -> tuple[Indices, tuple[Remark, ...]]:
-    """Severity indices that the data allow, and why the others are not given."""
+    """Severity indices that the data allow, and why the others are not given.
+
+    Parameters
+    ----------
+    case : Case
+        The recording.
+    impact : Impact
+        The blow in it.
+    pdof : Estimate or None
+        rad; None of an unknown mounting.
+
+    Returns
+    -------
+    indices : ndarray
+        ASI without unit, OLC and PHD m/s², THIV m/s; None where not given.
+    remarks : ndarray
+        One for each that is not given.
+    """
     if impact.clipped_samples:
         return Indices(), (Remark("indices_clipped", "ASI, OLC, THIV and PHD are not given for a clipped pulse."),)
     if impact.lacks.any:
@@ -110,7 +142,18 @@ def _head(impact: Impact, stop: int) -> tuple[float | None, float | None]:
 
 
 def rebound_of(impact: Impact) -> Estimate | None:
-    """Speed backwards along the old heading after the blow, m/s; None when the vehicle did not move backwards."""
+    """Speed backwards along the old heading after the blow, m/s; None when the vehicle did not move backwards.
+
+    Parameters
+    ----------
+    impact : Impact
+        The blow, with the speed before it where known.
+
+    Returns
+    -------
+    Estimate or None
+        m/s, more than 0.
+    """
     known, cloud = impact.known, impact.cloud
     if known is None:
         return None
@@ -132,6 +175,20 @@ def roll_of(case: Case, finding: Finding, t0: float) -> Estimate | None:
     """Largest roll within ten seconds, rad, positive right side down; None of a vehicle that stayed upright.
 
     With a gyro the integral of the roll rate, which counts whole turns; else from where gravity points at rest.
+
+    Parameters
+    ----------
+    case : Case
+        The recording.
+    finding : Finding
+        Of the event: what the forces looked like.
+    t0 : float
+        Box clock, s.
+
+    Returns
+    -------
+    Estimate or None
+        rad.
     """
     t = case.stream.t
     if case.w_v is not None:

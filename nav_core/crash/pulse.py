@@ -54,6 +54,18 @@ def turn_since(t: Floats, w: Floats) -> Floats:
     """Attitude relative to the first sample, shape (n, 3, 3), from angular rates (n, 3), rad/s, in body axes.
 
     The quaternions of the steps are multiplied up by doubling: n log n products in array code.
+
+    Parameters
+    ----------
+    t : ndarray, shape (n,)
+        Increasing, s.
+    w : ndarray, shape (n, 3)
+        Angular rate, rad/s, body axes.
+
+    Returns
+    -------
+    ndarray, shape (n, 3, 3)
+        From the body's axes at each sample to those at the first.
     """
     step = np.diff(t, prepend=t[:1])[:, None]
     middle = np.concatenate([w[:1], 0.5 * (w[1:] + w[:-1])])
@@ -103,7 +115,18 @@ class Blow(NamedTuple):
     gyro_gap: float
 
     def velocity(self, a: Floats) -> Floats:
-        """Integral from time zero of accelerations on these samples, shape (n, 3)."""
+        """Integral from time zero of accelerations on these samples, shape (n, 3).
+
+        Parameters
+        ----------
+        a : ndarray, shape (n, 3)
+            m/s², in V axes at time zero.
+
+        Returns
+        -------
+        ndarray, shape (n, 3)
+            m/s, 0 at time zero.
+        """
         v = integrate(a, self.step)
         return v - v[self.zero]
 
@@ -112,6 +135,24 @@ def blow_of(stream: Stream, window: Window, steady: Steady, w_v: Floats | None, 
     """The samples from `margin` before time zero to `tail` after the end of integration, s.
 
     `window` is of the stream; `w_v` (n, 3) are the stream's angular rates in V, NaN where not sampled, or None.
+
+    Parameters
+    ----------
+    stream : Stream
+        Specific force, V axes, m/s².
+    window : Window
+        Indices into `stream` of time zero, the end, and the end of integration.
+    steady : Steady
+        Specific force just before, V axes, m/s²: taken off.
+    w_v : ndarray, shape (m, 3) or None
+        Angular rate at the samples of `stream`, rad/s, V axes.
+    margin, tail : float
+        s.
+
+    Returns
+    -------
+    Blow
+        Accelerations in V axes at time zero, m/s².
     """
     t = stream.t
     first = int(np.searchsorted(t, t[window.zero] - margin))

@@ -41,7 +41,24 @@ def events_of(
     vehicle_class: VehicleClass,
     between: tuple[float, float] | None,
 ) -> tuple[CrashEvent, ...]:
-    """As `nav_core.crash.reconstruct_drive`."""
+    """As `nav_core.crash.reconstruct_drive`.
+
+    Parameters
+    ----------
+    drive : Drive
+        One recording, A-frame.
+    mounting : MountingEstimate
+        Of the box in it.
+    vehicle_class : VehicleClass
+        Sets the thresholds of harsh driving.
+    between : tuple of float or None
+        First and last `t0` to report, box clock, s; None for all.
+
+    Returns
+    -------
+    tuple of CrashEvent
+        In order of `t0`; empty with too few samples.
+    """
     if drive.inertial.t.size < FEWEST:
         return ()
     case = case_of(drive, mounting)

@@ -42,7 +42,20 @@ STEERS = 0.08
 
 
 def trajectory_of(case: Case, impact: Impact) -> Trajectory | None:
-    """Smoothed way around an event; None without fixes or with none that moves."""
+    """Smoothed way around an event; None without fixes or with none that moves.
+
+    Parameters
+    ----------
+    case : Case
+        The recording.
+    impact : Impact
+        The event's blow.
+
+    Returns
+    -------
+    Trajectory or None
+        Times in s from `t0`; place in rad, speeds in m/s, with covariances.
+    """
     gnss, blow = case.gnss, impact.blow
     t0 = float(blow.t[blow.zero])
     if gnss is None:
@@ -194,6 +207,18 @@ def rest_of(trajectory: Trajectory | None, t0: float, since: float) -> Rest | No
     """When and where the vehicle stood for at least a second after the last blow ended, `since`, box clock, s.
 
     None when that is not recorded.
+
+    Parameters
+    ----------
+    trajectory : Trajectory or None
+        Of the event, times from `t0`; None gives None.
+    t0, since : float
+        Box clock, s.
+
+    Returns
+    -------
+    Rest or None
+        rad; distance from `t0` on and radius of 95 %, m.
     """
     if trajectory is None:
         return None
@@ -215,7 +240,24 @@ def rest_of(trajectory: Trajectory | None, t0: float, since: float) -> Rest | No
 
 
 def driver_of(case: Case, impact: Impact, trajectory: Trajectory | None, rest: Rest | None) -> Driver | None:
-    """The last five seconds; None of a recording that has not half a second of them, or of an unknown mounting."""
+    """The last five seconds; None of a recording that has not half a second of them, or of an unknown mounting.
+
+    Parameters
+    ----------
+    case : Case
+        The recording.
+    impact : Impact
+        The event's blow.
+    trajectory : Trajectory or None
+        Around it; None where there is none.
+    rest : Rest or None
+        Where the vehicle came to rest; None where unknown.
+
+    Returns
+    -------
+    Driver or None
+        Speed, m/s, specific force less gravity, m/s², every half second before `t0`.
+    """
     stream, blow = case.stream, impact.blow
     t0 = float(blow.t[blow.zero])
     span = min(t0 - float(stream.t[0]), 5.0)

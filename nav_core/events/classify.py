@@ -106,17 +106,50 @@ class Scene(NamedTuple):
     vehicle_class: VehicleClass
 
     def speed_before(self, t: float) -> float | None:
-        """Speed of the last fix before `t`, at most 5 s old, m/s."""
+        """Speed of the last fix before `t`, at most 5 s old, m/s.
+
+        Parameters
+        ----------
+        t : float
+            Box clock, s.
+
+        Returns
+        -------
+        float or None
+            m/s; None where there is no such fix.
+        """
         k = int(np.searchsorted(self.fix_t, t - 2.0 * self.lag_sigma)) - 1
         return float(self.fix_speed[k]) if k >= 0 and t - self.fix_t[k] < 5.0 else None
 
     def speed_after(self, t: float) -> float | None:
-        """Speed of the first fix well after `t`, at most 3 s later, m/s."""
+        """Speed of the first fix well after `t`, at most 3 s later, m/s.
+
+        Parameters
+        ----------
+        t : float
+            Box clock, s.
+
+        Returns
+        -------
+        float or None
+            m/s; None where there is no such fix.
+        """
         k = int(np.searchsorted(self.fix_t, t + 0.1 + 2.0 * self.lag_sigma))
         return float(self.fix_speed[k]) if k < self.fix_t.size and self.fix_t[k] - t < 3.0 else None
 
     def stands_before(self, t: float) -> bool:
-        """Whether the vehicle stood before `t`: by the fixes, else by a force that is quiet."""
+        """Whether the vehicle stood before `t`: by the fixes, else by a force that is quiet.
+
+        Parameters
+        ----------
+        t : float
+            Box clock, s.
+
+        Returns
+        -------
+        bool
+            False also where nothing tells.
+        """
         speed, earlier = self.speed_before(t), self.speed_before(t - 2.0)
         if speed is not None:
             return speed < STANDS and (earlier is None or earlier < STANDS)
@@ -127,7 +160,26 @@ class Scene(NamedTuple):
 def scene_of(
     stream: Stream, gnss: Gnss | None, speed_lag: float, lag_sigma: float, vehicle_class: VehicleClass
 ) -> Scene:
-    """Scene of a recording."""
+    """Scene of a recording.
+
+    Parameters
+    ----------
+    stream : Stream
+        Specific force in V axes, m/s².
+    gnss : Gnss or None
+        None without fixes.
+    speed_lag : float
+        Of the receiver, s.
+    lag_sigma : float
+        Its 1-sigma, s.
+    vehicle_class : VehicleClass
+        Car or heavier.
+
+    Returns
+    -------
+    Scene
+        Fixes at their own moments.
+    """
     none = np.zeros(0)
     fix_t, fix_speed = (none, none) if gnss is None else (gnss.t - speed_lag, gnss.speed)
     return Scene(stream, fix_t, fix_speed, min(lag_sigma, 0.2), vehicle_class)
@@ -152,7 +204,18 @@ def _restless(stream: Stream, begin: float, end: float) -> float:
 
 
 def find(scene: Scene) -> list[Finding]:
-    """Crashes, rollovers, bumps, shocks and handling of a recording, in order of time; harsh driving is elsewhere."""
+    """Crashes, rollovers, bumps, shocks and handling of a recording, in order of time; harsh driving is elsewhere.
+
+    Parameters
+    ----------
+    scene : Scene
+        A recording.
+
+    Returns
+    -------
+    list of Finding
+        Each with its window, indices into the scene's stream.
+    """
     stream = scene.stream
     if stream.t.size < 4:
         return []
@@ -181,7 +244,20 @@ def _window(stream: Stream, core: int, *, threshold: float = THRESHOLD) -> Windo
 
 
 def peak_of(stream: Stream, window: Window) -> float:
-    """Largest force off its surroundings, m/s²."""
+    """Largest force off its surroundings, m/s².
+
+    Parameters
+    ----------
+    stream : Stream
+        Specific force in V axes, m/s².
+    window : Window
+        Indices into it.
+
+    Returns
+    -------
+    float
+        m/s².
+    """
     part = slice(window.zero, window.last + 1)
     return float(np.linalg.norm(stream.f[part] - stream.rest[window.zero], axis=1).max())
 
@@ -206,7 +282,20 @@ class Signs(NamedTuple):
 
 
 def signs_of(scene: Scene, window: Window) -> Signs:
-    """Look at an event."""
+    """Look at an event.
+
+    Parameters
+    ----------
+    scene : Scene
+        A recording.
+    window : Window
+        Indices into its stream.
+
+    Returns
+    -------
+    Signs
+        Changes of velocity, m/s, forces, m/s², angles, rad, and speeds before and after, m/s.
+    """
     stream, (zero, end, last) = scene.stream, window
     t0, t_end = float(stream.t[zero]), float(stream.t[end])
     rest = stream.rest[zero]

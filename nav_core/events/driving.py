@@ -57,13 +57,21 @@ def manoeuvres(
     Parameters
     ----------
     inertial : Inertial
+        A-frame.
     R_va : ndarray, shape (3, 3)
+        From A to V.
     gnss : Gnss, optional
         Usable fixes.  Without, slope and driving cannot be told apart from one another as well, and standstill
         is not told at all.
     speed_lag : float
         s.
     vehicle_class : VehicleClass
+        Sets the thresholds.
+
+    Returns
+    -------
+    list of Manoeuvre
+        In order of time, box clock, s; m/s².
     """
     if inertial.t.size < 2 or inertial.t[-1] - inertial.t[0] < 2.0:
         return []

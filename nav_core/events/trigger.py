@@ -63,17 +63,52 @@ class Stream(NamedTuple):
     v: Floats
 
     def at(self, t: Floats) -> Floats:
-        """`v` between the samples, shape (k, 3)."""
+        """`v` between the samples, shape (k, 3).
+
+        Parameters
+        ----------
+        t : ndarray, shape (k,)
+            Box clock, s.
+
+        Returns
+        -------
+        ndarray, shape (k, 3)
+            Integral of the force off its surroundings, V axes, m/s.
+        """
         return np.column_stack([np.interp(t, self.t, self.v[:, axis]) for axis in range(3)])
 
     def mean(self, begin: float, end: float) -> Floats | None:
-        """Mean specific force from..to, box clock, s; None without samples."""
+        """Mean specific force from..to, box clock, s; None without samples.
+
+        Parameters
+        ----------
+        begin, end : float
+            Box clock, s; `end` is not included.
+
+        Returns
+        -------
+        ndarray, shape (3,) or None
+            V axes, m/s².
+        """
         first, last = np.searchsorted(self.t, [begin, end])
         return None if last <= first else self.f[first:last].mean(axis=0)
 
 
 def stream_of(inertial: Inertial, R_va: Floats) -> Stream:
-    """Stream of a recording, any rate, any gaps."""
+    """Stream of a recording, any rate, any gaps.
+
+    Parameters
+    ----------
+    inertial : Inertial
+        A-frame.
+    R_va : ndarray, shape (3, 3)
+        From A to V.
+
+    Returns
+    -------
+    Stream
+        V axes; steps of 0 s over gaps.
+    """
     t, f = inertial.t, inertial.f @ R_va.T
     step = np.diff(t, prepend=t[:1])
     if t.size > 1:
@@ -84,7 +119,20 @@ def stream_of(inertial: Inertial, R_va: Floats) -> Stream:
 
 
 def integrate(a: Floats, step: Floats) -> Floats:
-    """Running integral by trapezia, shape (n, k), 0 at the first sample and unchanged over gaps."""
+    """Running integral by trapezia, shape (n, k), 0 at the first sample and unchanged over gaps.
+
+    Parameters
+    ----------
+    a : ndarray, shape (n, k)
+        In any unit.
+    step : ndarray, shape (n,)
+        From the sample before, s; 0 over a gap.
+
+    Returns
+    -------
+    ndarray, shape (n, k)
+        That unit times s.
+    """
     middle = np.empty_like(a)
     middle[:1] = 0.0
     middle[1:] = 0.5 * (a[1:] + a[:-1])
@@ -103,7 +151,20 @@ def _rest(t: Floats, f: Floats) -> Floats:
 
 
 def opening_mean(t: Floats, f: Floats) -> Floats:
-    """Mean force of the first 40 ms while nothing happens in them; else gravity, as on a level road."""
+    """Mean force of the first 40 ms while nothing happens in them; else gravity, as on a level road.
+
+    Parameters
+    ----------
+    t : ndarray, shape (n,)
+        Box clock, s.
+    f : ndarray, shape (n, 3)
+        Specific force, V axes, m/s².
+
+    Returns
+    -------
+    ndarray, shape (3,)
+        V axes, m/s².
+    """
     level = np.array([0.0, 0.0, -STANDARD_GRAVITY])
     if t.size == 0:
         return level
@@ -114,7 +175,20 @@ def opening_mean(t: Floats, f: Floats) -> Floats:
 
 
 def change_within(stream: Stream, window: float) -> Floats:
-    """Horizontal change of velocity from each sample over the following window, m/s, shape (n,)."""
+    """Horizontal change of velocity from each sample over the following window, m/s, shape (n,).
+
+    Parameters
+    ----------
+    stream : Stream
+        V axes.
+    window : float
+        s.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        m/s.
+    """
     j = np.minimum(np.searchsorted(stream.t, stream.t + window), max(stream.t.size - 1, 0))
     change = stream.v[j, :2] - stream.v[:, :2]
     return np.hypot(change[:, 0], change[:, 1])
@@ -124,6 +198,16 @@ def strongest_change(stream: Stream) -> Floats:
     """Largest horizontal change within `TRIGGER_WINDOW` of each sample, m/s, shape (n,).
 
     A pulse may be over before the window is: shorter windows are looked at as well.
+
+    Parameters
+    ----------
+    stream : Stream
+        V axes.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        m/s.
     """
     best = np.zeros(stream.t.size)
     for share in (0.2, 0.4, 0.6, 0.8, 1.0):
@@ -132,7 +216,22 @@ def strongest_change(stream: Stream) -> Floats:
 
 
 def groups(flags: Flags, t: Floats, apart: float) -> list[tuple[int, int]]:
-    """First and last index of every run of flags; runs closer than `apart`, s, are one."""
+    """First and last index of every run of flags; runs closer than `apart`, s, are one.
+
+    Parameters
+    ----------
+    flags : ndarray of bool, shape (n,)
+        Which samples are meant.
+    t : ndarray, shape (n,)
+        Increasing, s.
+    apart : float
+        s.
+
+    Returns
+    -------
+    list of tuple[int, int]
+        Inclusive, in order of time.
+    """
     index: Integers = np.flatnonzero(flags)
     if index.size == 0:
         return []

@@ -57,6 +57,18 @@ def normalised(error: Floats, P: Floats) -> Floats:
 def gate(freedom: int, probability: float = 0.999) -> float:
     """Threshold that a chi square with `freedom` degrees of freedom stays under with `probability`.
 
+    Parameters
+    ----------
+    freedom : int
+        1 or more.
+    probability : float
+        Between 0 and 1.
+
+    Returns
+    -------
+    float
+        Without unit.
+
     Raises
     ------
     RangeError

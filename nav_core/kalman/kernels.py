@@ -13,7 +13,15 @@ from nav_core.typing import Floats, kernel
 
 @kernel
 def sparse_product(A: Floats, B: Floats, out: Floats) -> None:
-    """Add ``A B`` to `out`; zeros of `A`, of which a transition matrix mostly consists, cost nothing."""
+    """Add ``A B`` to `out`; zeros of `A`, of which a transition matrix mostly consists, cost nothing.
+
+    Parameters
+    ----------
+    A, B : ndarray, shape (n, n)
+        Of any matrices whose units fit.
+    out : ndarray, shape (n, n)
+        Added to.
+    """
     n = A.shape[0]
     for i in range(n):
         for k in range(n):
@@ -25,7 +33,13 @@ def sparse_product(A: Floats, B: Floats, out: Floats) -> None:
 
 @kernel
 def symmetrise(P: Floats) -> None:
-    """Make both halves of `P` equal: rounding differs between them, and over hours would tear them apart."""
+    """Make both halves of `P` equal: rounding differs between them, and over hours would tear them apart.
+
+    Parameters
+    ----------
+    P : ndarray, shape (n, n)
+        Overwritten.
+    """
     for i in range(P.shape[0]):
         for j in range(i):
             P[i, j] = P[j, i] = 0.5 * (P[i, j] + P[j, i])
@@ -33,7 +47,17 @@ def symmetrise(P: Floats) -> None:
 
 @kernel
 def propagate_covariance(P: Floats, Phi: Floats, Q: Floats) -> None:
-    """Replace `P` by ``Phi P Phi' + Q``, exactly symmetric (000 eq. 3.6.25)."""
+    """Replace `P` by ``Phi P Phi' + Q``, exactly symmetric (000 eq. 3.6.25).
+
+    Parameters
+    ----------
+    P : ndarray, shape (n, n)
+        Overwritten.
+    Phi : ndarray, shape (n, n)
+        Transition over the step.
+    Q : ndarray, shape (n, n)
+        Noise of the step.
+    """
     n = P.shape[0]
     half, turned = np.zeros((n, n)), np.empty((n, n))
     sparse_product(Phi, P, half)
@@ -47,7 +71,15 @@ def propagate_covariance(P: Floats, Phi: Floats, Q: Floats) -> None:
 
 @kernel
 def propagate_state(x: Floats, Phi: Floats) -> None:
-    """Replace `x` by ``Phi x`` (000 eq. 3.6.21)."""
+    """Replace `x` by ``Phi x`` (000 eq. 3.6.21).
+
+    Parameters
+    ----------
+    x : ndarray, shape (n,)
+        Overwritten.
+    Phi : ndarray, shape (n, n)
+        Transition over the step.
+    """
     n = x.shape[0]
     before = x.copy()
     for i in range(n):
@@ -61,7 +93,17 @@ def propagate_state(x: Floats, Phi: Floats) -> None:
 
 @kernel
 def project(P: Floats, h: Floats, Ph: Floats) -> None:
-    """Set `Ph` to ``P h`` of a symmetric `P`; zeros of `h`, of which a measurement row mostly consists, cost nothing."""
+    """Set `Ph` to ``P h`` of a symmetric `P`; zeros of `h`, of which a measurement row mostly consists, cost nothing.
+
+    Parameters
+    ----------
+    P : ndarray, shape (n, n)
+        Covariance.
+    h : ndarray, shape (n,)
+        Measurement row.
+    Ph : ndarray, shape (n,)
+        Covariance of the states with the measurement; overwritten.
+    """
     n = P.shape[0]
     Ph[:] = 0.0
     for j in range(n):
@@ -73,7 +115,20 @@ def project(P: Floats, h: Floats, Ph: Floats) -> None:
 
 @kernel
 def projected(P: Floats, h: Floats) -> Floats:
-    """``P h`` of a symmetric `P`."""
+    """``P h`` of a symmetric `P`.
+
+    Parameters
+    ----------
+    P : ndarray, shape (n, n)
+        Covariance.
+    h : ndarray, shape (n,)
+        Measurement row.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Covariance of the states with the measurement.
+    """
     Ph = np.empty(P.shape[0])
     project(P, h, Ph)
     return Ph
@@ -81,7 +136,23 @@ def projected(P: Floats, h: Floats) -> Floats:
 
 @kernel
 def joseph(P: Floats, Ph: Floats, h: Floats, r: float, gain: Floats, rest: Floats) -> None:
-    """`joseph_scalar` of a known ``P h``, without making `P` exactly symmetric; `rest` is room for n numbers."""
+    """`joseph_scalar` of a known ``P h``, without making `P` exactly symmetric; `rest` is room for n numbers.
+
+    Parameters
+    ----------
+    P : ndarray, shape (n, n)
+        Covariance; overwritten.
+    Ph : ndarray, shape (n,)
+        Of `project`.
+    h : ndarray, shape (n,)
+        Measurement row.
+    r : float
+        Variance of the measurement's noise.
+    gain : ndarray, shape (n,)
+        k.
+    rest : ndarray, shape (n,)
+        Overwritten.
+    """
     n = P.shape[0]
     for i in range(n):
         rest[i] = gain[i] * r
@@ -100,14 +171,49 @@ def joseph(P: Floats, Ph: Floats, h: Floats, r: float, gain: Floats, rest: Float
 
 @kernel
 def joseph_scalar(P: Floats, h: Floats, r: float, gain: Floats) -> None:
-    """Replace `P` by ``(I - k h') P (I - k h')' + k r k'``, valid for any gain (000 eq. 3.11.24, one measurement)."""
+    """Replace `P` by ``(I - k h') P (I - k h')' + k r k'``, valid for any gain (000 eq. 3.11.24, one measurement).
+
+    Parameters
+    ----------
+    P : ndarray, shape (n, n)
+        Covariance; overwritten.
+    h : ndarray, shape (n,)
+        Measurement row.
+    r : float
+        Variance of the measurement's noise.
+    gain : ndarray, shape (n,)
+        k.
+    """
     joseph(P, projected(P, h), h, r, gain, np.empty(P.shape[0]))
     symmetrise(P)
 
 
 @kernel
 def fold(dx: Floats, P: Floats, residual: float, h: Floats, r: float, gate: float, room: Floats) -> float:
-    """`update_scalar` without making `P` exactly symmetric; `room` is for three times n numbers."""
+    """`update_scalar` without making `P` exactly symmetric; `room` is for three times n numbers.
+
+    Parameters
+    ----------
+    dx : ndarray, shape (n,)
+        Correction so far; changed.
+    P : ndarray, shape (n, n)
+        Covariance; changed.
+    residual : float
+        Measurement minus its prediction, both before any correction.
+    h : ndarray, shape (n,)
+        Measurement row.
+    r : float
+        Variance of the measurement's noise.
+    gate : float
+        On the squared normalised innovation.
+    room : ndarray, shape (3, n)
+        Overwritten.
+
+    Returns
+    -------
+    float
+        As `update_scalar`.
+    """
     n = dx.shape[0]
     Ph, gain = room[0], room[1]
     project(P, h, Ph)
@@ -239,6 +345,19 @@ def smooth_backwards(x_prior: Floats, P_prior: Floats, x: Floats, P: Floats, Phi
     """Rauch-Tung-Striebel smoother in place: `x` (k, n) and `P` (k, n, n) go in filtered and come out smoothed.
 
     ``C = P Phi' P_prior^-1`` needs invertible predicted covariances.
+
+    Parameters
+    ----------
+    x_prior : ndarray, shape (k, n)
+        Predicted states; the first is not used.
+    P_prior : ndarray, shape (k, n, n)
+        Their covariances.
+    x : ndarray, shape (k, n)
+        Filtered states; overwritten.
+    P : ndarray, shape (k, n, n)
+        Their covariances; overwritten.
+    Phi : ndarray, shape (k - 1, n, n)
+        Transition from each epoch to the next.
     """
     for k in range(x.shape[0] - 2, -1, -1):
         C = np.linalg.solve(P_prior[k + 1], Phi[k] @ P[k]).T.copy()

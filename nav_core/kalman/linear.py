@@ -62,7 +62,24 @@ def predict(x: Floats, P: Floats, Phi: Floats, Q: Floats) -> State:
 
 
 def joseph(P: Floats, H: Floats, R: Floats, K: Floats) -> Floats:
-    """``(I - K H) P (I - K H)' + K R K'``: the covariance after an update with any gain (000 eq. 3.11.24)."""
+    """``(I - K H) P (I - K H)' + K R K'``: the covariance after an update with any gain (000 eq. 3.11.24).
+
+    Parameters
+    ----------
+    P : ndarray, shape (n, n)
+        Covariance before the update.
+    H : ndarray, shape (m, n)
+        Measurement matrix.
+    R : ndarray, shape (m, m)
+        Covariance of the measurements' noise.
+    K : ndarray, shape (n, m)
+        Gain.
+
+    Returns
+    -------
+    ndarray, shape (n, n)
+        Symmetric.
+    """
     keep = np.eye(P.shape[0]) - K @ H
     after = keep @ P @ keep.T + K @ R @ K.T
     return np.add(after, after.T) / 2.0

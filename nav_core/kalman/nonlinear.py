@@ -55,11 +55,37 @@ class Model(Protocol):
     """A nonlinear process and its measurements; `k` counts epochs from 0."""
 
     def step(self, x: Floats, k: int) -> Step:
-        """From epoch `k` to the next (000 eqs. 3.11.18, 3.11.26)."""
+        """From epoch `k` to the next (000 eqs. 3.11.18, 3.11.26).
+
+        Parameters
+        ----------
+        x : ndarray, shape (n,)
+            State at the epoch.
+        k : int
+            Index of the epoch.
+
+        Returns
+        -------
+        Step
+            State at the next epoch, transition and noise in between.
+        """
         ...
 
     def observe(self, x: Floats, k: int) -> Observation:
-        """At epoch `k` (000 eqs. 3.11.2, 3.11.15)."""
+        """At epoch `k` (000 eqs. 3.11.2, 3.11.15).
+
+        Parameters
+        ----------
+        x : ndarray, shape (n,)
+            State at the epoch.
+        k : int
+            Index of the epoch.
+
+        Returns
+        -------
+        Observation
+            Expected measurements, matrix and noise.
+        """
         ...
 
 
@@ -91,6 +117,18 @@ class ContinuousModel:
         """State by Runge-Kutta of order 4; matrices with the derivative in the middle of the step.
 
         The series of `Phi` and Simpson's rule on the noise (000 eq. 3.6.28) are of the same order as the state.
+
+        Parameters
+        ----------
+        x : ndarray, shape (n,)
+            State at the epoch.
+        k : int
+            Index of the epoch.
+
+        Returns
+        -------
+        Step
+            State at the next epoch, transition and noise in between.
         """
         t, dt = float(self.t[k]), float(self.t[k + 1] - self.t[k])
         a = self.f(x, t)
@@ -104,7 +142,20 @@ class ContinuousModel:
         return Step(after, Phi, dt / 6.0 * noise)
 
     def observe(self, x: Floats, k: int) -> Observation:
-        """`observation`."""
+        """`observation`.
+
+        Parameters
+        ----------
+        x : ndarray, shape (n,)
+            State at the epoch.
+        k : int
+            Index of the epoch.
+
+        Returns
+        -------
+        Observation
+            Expected measurements, matrix and noise.
+        """
         return self.observation(x, k)
 
 
@@ -168,7 +219,9 @@ def linearised(
     model : Model
     reference : ndarray, shape (k, n)
         Trajectory that fulfils the model's dynamics without noise (3.11.6).
-    x, P, z, gate
+    x, P, z : ndarray, shape (n,), (n, n), (k, m)
+        As for `extended`.
+    gate : float, optional
         As for `extended`.
 
     Returns

@@ -27,7 +27,18 @@ _NONE = 1e-4
 
 
 def true_noise(scenario: Scenario) -> Noise:
-    """What a scenario's receiver, road, car and box do, as the model's noise levels."""
+    """What a scenario's receiver, road, car and box do, as the model's noise levels.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        What is simulated.
+
+    Returns
+    -------
+    Noise
+        SI units, as `Noise`.
+    """
     half = np.sqrt(0.5)
     return Noise(
         speed_white=half * scenario.gnss_speed_noise,

@@ -66,7 +66,18 @@ class Confidence:
 
 
 def observability(covariance: Floats) -> float:
-    """``(1 - lmax / trace) n / (n - 1)``: 0 when one direction holds all the doubt, 1 when all share it."""
+    """``(1 - lmax / trace) n / (n - 1)``: 0 when one direction holds all the doubt, 1 when all share it.
+
+    Parameters
+    ----------
+    covariance : ndarray, shape (n, n)
+        Of n small rotations or states alike in unit; n at least 2.
+
+    Returns
+    -------
+    float
+        0 to 1.
+    """
     n = covariance.shape[0]
     lmax = float(np.linalg.eigvalsh(covariance)[-1])
     return float(np.clip((1.0 - lmax / float(np.trace(covariance))) * n / (n - 1), 0.0, 1.0))
@@ -77,6 +88,11 @@ def stretch_scatter(fit: Fit) -> tuple[Floats, int, Floats]:
 
     Each stretch moves one axis of the mounting with all else held.  Its deviations are weighed with
     its own information.
+
+    Parameters
+    ----------
+    fit : Fit
+        Of one record.
 
     Returns
     -------

@@ -89,7 +89,20 @@ def trip_evidence(fit: Fit, handed: float = 0.0) -> TripEvidence:
 
 
 def weakened(evidence: TripEvidence, share: float) -> TripEvidence:
-    """The same with only a share of its weight, for what may no longer hold."""
+    """The same with only a share of its weight, for what may no longer hold.
+
+    Parameters
+    ----------
+    evidence : TripEvidence
+        Of one trip or many.
+    share : float
+        0 to 1.
+
+    Returns
+    -------
+    TripEvidence
+        Linearised where `evidence` is.
+    """
     return replace(evidence, gram=share * evidence.gram, handed=share * evidence.handed)
 
 

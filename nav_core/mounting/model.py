@@ -126,7 +126,20 @@ def roads_of(traffic_side: TrafficSide | None) -> Noise:
 
 
 def less_crown(R_va: Floats, noise: Noise) -> Floats:
-    """A mounting without the expected mean bank of the roads, which a drive cannot tell from it, shape (3, 3)."""
+    """A mounting without the expected mean bank of the roads, which a drive cannot tell from it, shape (3, 3).
+
+    Parameters
+    ----------
+    R_va : ndarray, shape (3, 3)
+        From A to V.
+    noise : Noise
+        Says what bank is expected.
+
+    Returns
+    -------
+    ndarray, shape (3, 3)
+        Turned about V's x by it.
+    """
     c, s = np.cos(noise.crown_mean), np.sin(noise.crown_mean)
     return np.array([[1.0, 0.0, 0.0], [0.0, c, s], [0.0, -s, c]]) @ R_va
 
@@ -172,6 +185,20 @@ def turned(record: Record, R_va: Floats, lag: float) -> Frame:
 
     Turn rate is lateral force over speed where it is quick, and the receiver's where it is slow:
     the force also feels bank and bias, the receiver is late and coarse.
+
+    Parameters
+    ----------
+    record : Record
+        Ticks, A-frame, m/s², and fixes.
+    R_va : ndarray, shape (3, 3)
+        From A to V.
+    lag : float
+        Of the receiver, s.
+
+    Returns
+    -------
+    Frame
+        m/s² and rad/s, V axes, at the m ticks.
     """
     fixes = record.fixes
     f = record.f @ R_va.T
@@ -197,6 +224,32 @@ def pitch_system(
     `grain` the density of its noise.
     The body stands on the slope and on the bank: of the acceleration along the road none shows on
     its vertical axis, of the lateral one the share of the bank does.
+
+    Parameters
+    ----------
+    record : Record
+        Ticks and fixes, n of them.
+    steps : Steps
+        From fix to fix.
+    noise : Noise
+        What to expect.
+    change, swing : ndarray, shape (n,)
+        V axes, m/s.
+    grain : ndarray, shape (n,)
+        (m/s²)²/Hz.
+
+    Returns
+    -------
+    P0 : ndarray, shape (10, 10)
+        Covariance of the states at the first fix: V, CLIMB, SLOPE, ... as numbered above.
+    Phi : ndarray, shape (n, 10, 10)
+        Transition over each step.
+    Q : ndarray, shape (n, 10, 10)
+        Its noise.
+    H : ndarray, shape (n, 3, 10)
+        Of speed, height, and climb by slope.
+    r : ndarray, shape (n, 3)
+        Variances; NaN where not measured.
     """
     fixes = record.fixes
     count = fixes.t.size
@@ -410,6 +463,36 @@ def yaw_system(
     `change` is the turn that the lateral force makes in each step, `inverse` one over the speed,
     integrated, `grain` the noise of that turn in rad²; where the course is `lost`, or too slow to
     follow, the thread begins anew.
+
+    Parameters
+    ----------
+    fixes : Fixes
+        n of them.
+    steps : Steps
+        From fix to fix.
+    noise : Noise
+        What to expect.
+    change : ndarray, shape (n,)
+        rad.
+    inverse : ndarray, shape (n,)
+        s²/m.
+    grain : ndarray, shape (n,)
+        rad².
+    lost : ndarray of bool, shape (n,)
+        Where the thread begins anew.
+
+    Returns
+    -------
+    P0 : ndarray, shape (4, 4)
+        Covariance of course, bank, slow error of the course (m/s) and lateral bias drift (m/s²).
+    Phi : ndarray, shape (n, 4, 4)
+        Transition over each step.
+    Q : ndarray, shape (n, 4, 4)
+        Its noise.
+    H : ndarray, shape (n, 1, 4)
+        Of the course.
+    r : ndarray, shape (n, 1)
+        Variance, rad²; NaN where not measured.
     """
     count = fixes.t.size
     Phi, Q = np.zeros((count, 4, 4)), np.zeros((count, 4, 4))
@@ -434,7 +517,22 @@ def yaw_system(
 
 
 def prior(noise: Noise, lags: tuple[float, float]) -> tuple[Floats, Floats]:
-    """Information (diagonal) and mean of the unknowns before the drive; the turn has none."""
+    """Information (diagonal) and mean of the unknowns before the drive; the turn has none.
+
+    Parameters
+    ----------
+    noise : Noise
+        What to expect.
+    lags : tuple of float
+        Of GPS speed and course, at which the system is built, s.
+
+    Returns
+    -------
+    information : ndarray, shape (13,)
+        One over the variances of `p`; 0 for the turn.
+    mean : ndarray, shape (13,)
+        Of `p`.
+    """
     deviation = np.full(UNKNOWNS, np.inf)
     mean = np.zeros(UNKNOWNS)
     deviation[BIAS] = noise.bias

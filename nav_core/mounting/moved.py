@@ -68,7 +68,18 @@ class Piece(NamedTuple):
 
 
 def tilt_suspicion(record: Record) -> float | None:
-    """Box time of the best single step in the mean direction of specific force, s, if it is large."""
+    """Box time of the best single step in the mean direction of specific force, s, if it is large.
+
+    Parameters
+    ----------
+    record : Record
+        Ticks, A-frame, m/s².
+
+    Returns
+    -------
+    float or None
+        s; None where no step is large.
+    """
     t, f = record.t, record.f
     if t.size < 3:
         return None
@@ -95,6 +106,16 @@ def evidence_suspicion(fit: Fit) -> float | None:
 
     Every split of the stretches into before and after is tried with a turn of its own on either
     side and all else held; the gain in log likelihood tells.
+
+    Parameters
+    ----------
+    fit : Fit
+        Of one record.
+
+    Returns
+    -------
+    float or None
+        s; None where nothing is clear.
     """
     e = np.concatenate([[1.0], fit.p])
     information = np.cumsum(fit.gram[:, 1:4, 1:4], axis=0)

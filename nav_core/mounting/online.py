@@ -132,7 +132,18 @@ class _Work:
 
 
 def begin(tuning: Tuning | None = None) -> OnlineState:
-    """The state of a box that has not been heard of yet."""
+    """The state of a box that has not been heard of yet.
+
+    Parameters
+    ----------
+    tuning : Tuning, optional
+        What to expect; of ordinary cars and receivers where not given.
+
+    Returns
+    -------
+    OnlineState
+        Before the start.
+    """
     tuned = tuning or Tuning()
     return OnlineState(tuning=tuned, lags=(tuned.lag, tuned.lag), bias=tuned.bias)
 
@@ -160,6 +171,18 @@ def advance_fleet(states: Sequence[OnlineState], chunks: Sequence[Chunk]) -> lis
     """Every box's state after its chunk; see `advance`.
 
     Boxes share each call of the compiled filter, piece by piece.
+
+    Parameters
+    ----------
+    states : sequence of OnlineState
+        One per box; not changed.
+    chunks : sequence of Chunk
+        What each has sent since, one per box.
+
+    Returns
+    -------
+    list of OnlineState
+        In the order of `states`.
 
     Raises
     ------
@@ -287,12 +310,42 @@ def _run_piece(works: list[_Work]) -> None:
 
 
 def settled(filters: Filters) -> bool:
-    """Whether one hypothesis is left; a mirrored one may stay beside it until a turn tells."""
+    """Whether one hypothesis is left; a mirrored one may stay beside it until a turn tells.
+
+    Parameters
+    ----------
+    filters : Filters
+        Of one box.
+
+    Returns
+    -------
+    bool
+        True also with a mirrored one beside it.
+    """
     return int(np.count_nonzero(filters.mirrored == filters.mirrored[filters.best])) == 1
 
 
 def stack(filters: Sequence[Filters | None], rows: Sequence[Floats]) -> tuple[Filters, Integers, Integers, Floats]:
-    """Filters of many boxes side by side (copied), the ranges of their rows, and the rows."""
+    """Filters of many boxes side by side (copied), the ranges of their rows, and the rows.
+
+    Parameters
+    ----------
+    filters : sequence of Filters or None
+        One per box; None where a box has none: left out.
+    rows : sequence of ndarray, shape (k, 30)
+        One array per box that has filters.
+
+    Returns
+    -------
+    filters : Filters
+        Of all boxes.
+    first : ndarray of int, shape (m,)
+        First row of each filter.
+    last : ndarray of int, shape (m,)
+        One past its last row.
+    rows : ndarray, shape (n, 30)
+        Of all boxes.
+    """
     present = [each for each in filters if each is not None]
     stacked = Filters(*(np.concatenate(columns) for columns in zip(*present, strict=True)))
     ends = np.cumsum([each.shape[0] for each in rows])

@@ -89,14 +89,36 @@ TRACK_ANEW = 100.0
 
 @kernel
 def turned(R: Floats, row: Floats, first: int, out: Floats) -> None:
-    """Write ``R`` times the three columns from `first` on into `out`."""
+    """Write ``R`` times the three columns from `first` on into `out`.
+
+    Parameters
+    ----------
+    R : ndarray, shape (3, 3)
+        From A to V.
+    row : ndarray, shape (30,)
+        What is known at a fix.
+    first : int
+        Column.
+    out : ndarray, shape (3,)
+        V axes, in the unit of the columns; overwritten.
+    """
     for i in range(3):
         out[i] = R[i, 0] * row[first] + R[i, 1] * row[first + 1] + R[i, 2] * row[first + 2]
 
 
 @kernel
 def vectors(R: Floats, row: Floats, V: Floats) -> None:
-    """Write the row's vectors, turned into the present V axes: force, force over speed, gyro, gyro over speed."""
+    """Write the row's vectors, turned into the present V axes: force, force over speed, gyro, gyro over speed.
+
+    Parameters
+    ----------
+    R : ndarray, shape (3, 3)
+        From A to V.
+    row : ndarray, shape (30,)
+        What is known at a fix, A-frame.
+    V : ndarray, shape (4, 3)
+        m/s, rad (both over the step), rad and rad/m; overwritten.
+    """
     turned(R, row, FORCE, V[0])
     turned(R, row, FORCE_PER_SPEED, V[1])
     turned(R, row, GYRO, V[2])
@@ -105,7 +127,21 @@ def vectors(R: Floats, row: Floats, V: Floats) -> None:
 
 @kernel
 def transition(x: Floats, row: Floats, V: Floats, tuning: Tuning, F: Floats) -> None:
-    """Write the ten moving rows of the transition into `F` (10, 22); the other rows are the identity's."""
+    """Write the ten moving rows of the transition into `F` (10, 22); the other rows are the identity's.
+
+    Parameters
+    ----------
+    x : ndarray, shape (22,)
+        The states.
+    row : ndarray, shape (30,)
+        What is known at the fix.
+    V : ndarray, shape (4, 3)
+        Of `vectors`.
+    tuning : Tuning
+        What to expect.
+    F : ndarray, shape (10, 22)
+        Overwritten.
+    """
     f, p, w, change = V[0], V[1], V[2], V[3]
     dt, d = row[COVERED], row[WAY]
     keep_x, keep_y = 1.0 - tuning.pitch_gain, 1.0 - tuning.roll_gain
@@ -141,7 +177,22 @@ def transition(x: Floats, row: Floats, V: Floats, tuning: Tuning, F: Floats) -> 
 
 @kernel
 def track_turn(row: Floats, V: Floats, tuning: Tuning) -> float:
-    """Turn of the track over the step with all unknowns at their expected values, rad."""
+    """Turn of the track over the step with all unknowns at their expected values, rad.
+
+    Parameters
+    ----------
+    row : ndarray, shape (30,)
+        What is known at a fix.
+    V : ndarray, shape (4, 3)
+        Of `vectors`.
+    tuning : Tuning
+        What to expect.
+
+    Returns
+    -------
+    float
+        rad, clockwise; by the gyro where there is one.
+    """
     if V[2, 2] == V[2, 2]:
         return V[2, 2] + tuning.lever * V[3, 2]
     return (1.0 - tuning.roll_gain) * V[1, 1] - tuning.lever * row[SIDE]
@@ -149,7 +200,30 @@ def track_turn(row: Floats, V: Floats, tuning: Tuning) -> float:
 
 @kernel
 def predict(x: Floats, P: Floats, row: Floats, V: Floats, tuning: Tuning, scale: Floats, F: Floats) -> float:
-    """State and covariance over one step; returns the change of speed that the force tells, m/s."""
+    """State and covariance over one step; returns the change of speed that the force tells, m/s.
+
+    Parameters
+    ----------
+    x : ndarray, shape (22,)
+        Overwritten.
+    P : ndarray, shape (22, 22)
+        Overwritten.
+    row : ndarray, shape (30,)
+        What is known at the fix.
+    V : ndarray, shape (4, 3)
+        Of `vectors`.
+    tuning : Tuning
+        What to expect.
+    scale : ndarray, shape (3,)
+        Factors on the noise along, up and across.
+    F : ndarray, shape (10, 22)
+        Overwritten.
+
+    Returns
+    -------
+    float
+        m/s.
+    """
     transition(x, row, V, tuning, F)
     dt, slope = row[COVERED], x[SLOPE]
     lift = V[0, 2] + GRAVITY * dt + 0.5 * GRAVITY * slope * slope * dt
@@ -174,7 +248,23 @@ def predict(x: Floats, P: Floats, row: Floats, V: Floats, tuning: Tuning, scale:
 
 @kernel
 def disturb(P: Floats, row: Floats, V: Floats, tuning: Tuning, scale: Floats, F: Floats) -> None:
-    """Add the process noise of a step to `P`; to stationary processes, what the decay has lost."""
+    """Add the process noise of a step to `P`; to stationary processes, what the decay has lost.
+
+    Parameters
+    ----------
+    P : ndarray, shape (22, 22)
+        Overwritten.
+    row : ndarray, shape (30,)
+        What is known at the fix.
+    V : ndarray, shape (4, 3)
+        Of `vectors`.
+    tuning : Tuning
+        What to expect.
+    scale : ndarray, shape (3,)
+        Factors on the noise along, up and across.
+    F : ndarray, shape (10, 22)
+        Of `transition`.
+    """
     dt, elapsed, d = row[COVERED], row[ELAPSED], row[WAY]
     along, up, across = scale[ALONG] ** 2, scale[UP] ** 2, scale[ACROSS] ** 2
     white = tuning.force**2 * dt
@@ -210,7 +300,15 @@ def disturb(P: Floats, row: Floats, V: Floats, tuning: Tuning, scale: Floats, F:
 
 @kernel
 def carry(P: Floats, F: Floats) -> None:
-    """``P = F P F'``, using that the rows of `F` have few entries."""
+    """``P = F P F'``, using that the rows of `F` have few entries.
+
+    Parameters
+    ----------
+    P : ndarray, shape (22, 22)
+        Overwritten.
+    F : ndarray, shape (10, 22)
+        Of `transition`.
+    """
     columns, values = np.empty((MOVING, N_STATES), dtype=np.int64), np.empty((MOVING, N_STATES))
     count = np.zeros(MOVING, dtype=np.int64)
     block = np.zeros((MOVING, N_STATES))
@@ -240,6 +338,32 @@ def assimilate(
 
     Beyond `limit` sigmas the innovation's variance grows with it (Huber's weight).  `note` is where the
     statistics of its kind are kept: misfit and count.
+
+    Parameters
+    ----------
+    x : ndarray, shape (22,)
+        Overwritten.
+    P : ndarray, shape (22, 22)
+        Overwritten.
+    columns : ndarray of int, shape (k,)
+        States that the measurement sees.
+    h : ndarray, shape (k,)
+        Its derivatives by them.
+    nu : float
+        Innovation.
+    r : float
+        Variance of the measurement's noise.
+    limit : float
+        Sigmas.
+    note : ndarray, shape (2,)
+        Overwritten.
+    spread : ndarray, shape (22,)
+        Overwritten.
+
+    Returns
+    -------
+    float
+        Natural logarithm, up to a constant.
     """
     count = columns.size
     for i in range(N_STATES):
@@ -268,7 +392,30 @@ def assimilate(
 
 @kernel
 def receive(x: Floats, P: Floats, row: Floats, tuning: Tuning, scale: Floats, notes: Floats, spread: Floats) -> float:
-    """The receiver's speed, height and course, and that climb is speed times slope; returns the log likelihood."""
+    """The receiver's speed, height and course, and that climb is speed times slope; returns the log likelihood.
+
+    Parameters
+    ----------
+    x : ndarray, shape (22,)
+        Overwritten.
+    P : ndarray, shape (22, 22)
+        Overwritten.
+    row : ndarray, shape (30,)
+        What is known at the fix.
+    tuning : Tuning
+        What to expect.
+    scale : ndarray, shape (3,)
+        Factors on the noise along, up and across.
+    notes : ndarray, shape (5, 2)
+        Innovation statistics by kind; overwritten.
+    spread : ndarray, shape (22,)
+        Overwritten.
+
+    Returns
+    -------
+    float
+        Natural logarithm, up to a constant.
+    """
     v = row[GPS_SPEED]
     total = 0.0
     if row[STANDING] > 0.0:
@@ -303,7 +450,32 @@ def receive(x: Floats, P: Floats, row: Floats, tuning: Tuning, scale: Floats, no
 def compare_gyro(
     x: Floats, P: Floats, row: Floats, V: Floats, tuning: Tuning, scale: Floats, notes: Floats, spread: Floats
 ) -> float:
-    """Turn by the side force against turn by the gyro; at rest, the gyro against nothing."""
+    """Turn by the side force against turn by the gyro; at rest, the gyro against nothing.
+
+    Parameters
+    ----------
+    x : ndarray, shape (22,)
+        Overwritten.
+    P : ndarray, shape (22, 22)
+        Overwritten.
+    row : ndarray, shape (30,)
+        What is known at the fix.
+    V : ndarray, shape (4, 3)
+        Of `vectors`.
+    tuning : Tuning
+        What to expect.
+    scale : ndarray, shape (3,)
+        Factors on the noise along, up and across.
+    notes : ndarray, shape (5, 2)
+        Innovation statistics by kind; overwritten.
+    spread : ndarray, shape (22,)
+        Overwritten.
+
+    Returns
+    -------
+    float
+        Natural logarithm, up to a constant; 0 where nothing is compared.
+    """
     p, w, change = V[1], V[2], V[3]
     elapsed, inverse = row[ELAPSED], row[PER_SPEED]
     if elapsed <= 0.0:
@@ -339,7 +511,17 @@ def compare_gyro(
 
 @kernel
 def move_reference(x: Floats, P: Floats, R: Floats) -> None:
-    """Put the small rotation into the reference and turn the biases, which belong to the box, with the axes."""
+    """Put the small rotation into the reference and turn the biases, which belong to the box, with the axes.
+
+    Parameters
+    ----------
+    x : ndarray, shape (22,)
+        Its turn becomes zero.
+    P : ndarray, shape (22, 22)
+        Overwritten.
+    R : ndarray, shape (3, 3)
+        From A to V; overwritten.
+    """
     a, b, c = x[TURN], x[TURN + 1], x[TURN + 2]
     angle = np.sqrt(a * a + b * b + c * c)
     s = np.sin(angle) / angle
@@ -375,7 +557,36 @@ def step(
     V: Floats,
     spread: Floats,
 ) -> tuple[float, float]:
-    """One fix: returns the log likelihood and the change of speed that the force told, m/s."""
+    """One fix: returns the log likelihood and the change of speed that the force told, m/s.
+
+    Parameters
+    ----------
+    x : ndarray, shape (22,)
+        Overwritten.
+    P : ndarray, shape (22, 22)
+        Overwritten.
+    R : ndarray, shape (3, 3)
+        From A to V; overwritten.
+    row : ndarray, shape (30,)
+        What is known at the fix.
+    tuning : Tuning
+        What to expect.
+    scale : ndarray, shape (3,)
+        Factors on the noise along, up and across.
+    notes : ndarray, shape (5, 2)
+        Innovation statistics by kind; overwritten.
+    F : ndarray, shape (10, 22)
+        Overwritten.
+    V : ndarray, shape (4, 3)
+        Overwritten.
+    spread : ndarray, shape (22,)
+        Overwritten.
+
+    Returns
+    -------
+    tuple of float
+        Log likelihood without unit, and m/s.
+    """
     vectors(R, row, V)
     forward = predict(x, P, row, V, tuning, scale, F)
     likelihood = receive(x, P, row, tuning, scale, notes, spread)
@@ -393,6 +604,19 @@ def run(filters: Filters, rows: Floats, first: Integers, last: Integers, tuning:
 
     `trace` (steps of all filters one after the other, 4), or without rows if nobody wants to know, gets after each
     step the variances of the turn (3) and the change of speed that the force told.
+
+    Parameters
+    ----------
+    filters : Filters
+        m of them; overwritten.
+    rows : ndarray, shape (n, 30)
+        What is known at the fixes.
+    first, last : ndarray of int, shape (m,)
+        Range of each filter's rows; `last` is not included.
+    tuning : Tuning
+        What to expect.
+    trace : ndarray, shape (k, 4)
+        rad² and m/s; overwritten.
     """
     F, V, spread = np.zeros((MOVING, N_STATES)), np.empty((4, 3)), np.empty(N_STATES)
     done = 0

@@ -201,7 +201,18 @@ def hypotheses(force: Floats, level: Floats, driven: tuple[float, float]) -> Flo
 
 
 def prior_sigma(tuning: Tuning) -> Floats:
-    """Standard deviations of the states at the first fix, shape (22,)."""
+    """Standard deviations of the states at the first fix, shape (22,).
+
+    Parameters
+    ----------
+    tuning : Tuning
+        What to expect.
+
+    Returns
+    -------
+    ndarray, shape (22,)
+        SI units, in the order of the states.
+    """
     sigma = np.zeros(N_STATES)
     sigma[[SPEED, CLIMB, SLOPE, CURVE]] = 0.2, 0.5, tuning.slope, tuning.slope / tuning.slope_length
     sigma[[HEIGHT, SPEED_ERROR, HEIGHT_ERROR]] = 5.0, tuning.speed_slow, tuning.height_slow

@@ -29,7 +29,28 @@ def _has_gyro(row: Floats) -> bool:
 
 
 def transition(x: Floats, row: Floats, R_va: Floats, tuning: Tuning) -> tuple[Floats, Floats, Floats]:
-    """``x = F x + u`` with the Jacobian of the whole, whose slope enters squared: F, u, Jacobian."""
+    """``x = F x + u`` with the Jacobian of the whole, whose slope enters squared: F, u, Jacobian.
+
+    Parameters
+    ----------
+    x : ndarray, shape (22,)
+        The states.
+    row : ndarray, shape (30,)
+        What is known at the fix.
+    R_va : ndarray, shape (3, 3)
+        From A to V.
+    tuning : Tuning
+        What to expect.
+
+    Returns
+    -------
+    F : ndarray, shape (22, 22)
+        Without the square of the slope.
+    u : ndarray, shape (22,)
+        What the row alone adds.
+    jacobian : ndarray, shape (22, 22)
+        With it.
+    """
     f, p = _three(row, m.FORCE, R_va), _three(row, m.FORCE_PER_SPEED, R_va)
     dt, d = row[m.COVERED], row[m.WAY]
     keep_x, keep_y = 1.0 - tuning.pitch_gain, 1.0 - tuning.roll_gain
@@ -68,7 +89,28 @@ def transition(x: Floats, row: Floats, R_va: Floats, tuning: Tuning) -> tuple[Fl
 
 
 def process_noise(row: Floats, F: Floats, u: Floats, f_along: float, tuning: Tuning, scale: Floats) -> Floats:
-    """Q of a step: white noise of the force, what the model may miss, what keeps stationary processes so."""
+    """Q of a step: white noise of the force, what the model may miss, what keeps stationary processes so.
+
+    Parameters
+    ----------
+    row : ndarray, shape (30,)
+        What is known at the fix.
+    F : ndarray, shape (22, 22)
+        Of `transition`.
+    u : ndarray, shape (22,)
+        Of `transition`.
+    f_along : float
+        Integral of longitudinal specific force over the step, m/s.
+    tuning : Tuning
+        What to expect.
+    scale : ndarray, shape (3,)
+        Factors on the noise along, up and across.
+
+    Returns
+    -------
+    ndarray, shape (22, 22)
+        Covariance.
+    """
     dt, elapsed = row[m.COVERED], row[m.ELAPSED]
     along, up, across = scale**2
     rest = np.zeros((m.N_STATES, m.N_STATES))
@@ -100,12 +142,46 @@ def process_noise(row: Floats, F: Floats, u: Floats, f_along: float, tuning: Tun
 
 
 def second_order(x: Floats, P: Floats, lag: int, rate: float) -> float:
-    """Variance of what is quadratic in a lag, as far as it is still unknown or not yet in the reference."""
+    """Variance of what is quadratic in a lag, as far as it is still unknown or not yet in the reference.
+
+    Parameters
+    ----------
+    x : ndarray, shape (22,)
+        The states.
+    P : ndarray, shape (22, 22)
+        Their covariance.
+    lag : int
+        Which state the lag is.
+    rate : float
+        Of what lags: m/s² or rad/s.
+
+    Returns
+    -------
+    float
+        m²/s² or rad².
+    """
     return 0.5 * float((P[lag, lag] + x[lag] ** 2) * rate / JERK_TIME) ** 2
 
 
 def measurements(row: Floats, R_va: Floats, tuning: Tuning, scale: Floats) -> list[tuple[int, Floats, float, float]]:
-    """What a row says, in order: kind, row of H, measured less constant, variance."""
+    """What a row says, in order: kind, row of H, measured less constant, variance.
+
+    Parameters
+    ----------
+    row : ndarray, shape (30,)
+        What is known at the fix.
+    R_va : ndarray, shape (3, 3)
+        From A to V.
+    tuning : Tuning
+        What to expect.
+    scale : ndarray, shape (3,)
+        Factors on the noise along, up and across.
+
+    Returns
+    -------
+    list of tuple[int, ndarray, float, float]
+        Rows of H have shape (22,).
+    """
     out: list[tuple[int, Floats, float, float]] = []
 
     def add(kind: int, entries: dict[int, float], y: float, r: float) -> None:
@@ -147,7 +223,22 @@ def measurements(row: Floats, R_va: Floats, tuning: Tuning, scale: Floats) -> li
 
 
 def step(filters: Filters, row: Floats, tuning: Tuning) -> Filters:
-    """One filter after one row; `filters` holds one filter and stays as it is."""
+    """One filter after one row; `filters` holds one filter and stays as it is.
+
+    Parameters
+    ----------
+    filters : Filters
+        One filter.
+    row : ndarray, shape (30,)
+        What is known at the fix.
+    tuning : Tuning
+        What to expect.
+
+    Returns
+    -------
+    Filters
+        The filter afterwards.
+    """
     x, cov, R_va = filters.x[0].copy(), filters.P[0], filters.R_va[0]
     notes, likelihood = filters.notes[0].copy(), float(filters.likelihood[0])
     F, u, jacobian = transition(x, row, R_va, tuning)

@@ -85,7 +85,20 @@ class Place(NamedTuple):
 
 
 def ready_fixes(fixes: Fixes, after: float, heard: float) -> Flags:
-    """Fixes after a box time that can be worked off when the stream has been heard until `heard`, shape (n,)."""
+    """Fixes after a box time that can be worked off when the stream has been heard until `heard`, shape (n,).
+
+    Parameters
+    ----------
+    fixes : Fixes
+        n of them.
+    after, heard : float
+        Box clock, s.
+
+    Returns
+    -------
+    ndarray of bool, shape (n,)
+        In order.
+    """
     return (fixes.t > after) & (fixes.t + HORIZON <= heard + 1e-9)
 
 
@@ -177,6 +190,23 @@ def _add_gyro(rows: Floats, spin: Record, edges: Floats, lag: float, fixes: Fixe
 
 
 def records_of(ticks: Ticks, spin: Ticks | None, gnss: Gnss) -> tuple[Record, Record | None]:
-    """Ticks and usable fixes of a stretch of the stream, prepared; the gyro's in a record of their own."""
+    """Ticks and usable fixes of a stretch of the stream, prepared; the gyro's in a record of their own.
+
+    Parameters
+    ----------
+    ticks : Ticks
+        Of the specific force, A-frame, m/s².
+    spin : Ticks or None
+        Of the angular rate, A-frame, rad/s; None without gyro.
+    gnss : Gnss
+        The fixes of the stretch.
+
+    Returns
+    -------
+    force : Record
+        m/s².
+    spin : Record or None
+        rad/s.
+    """
     fixes = usable_fixes(gnss)
     return prepare(ticks, fixes), None if spin is None else prepare(spin, fixes)

@@ -35,7 +35,20 @@ class Chunk:
 
 
 def chunks_of(drive: Drive, stride: float) -> list[Chunk]:
-    """A recording cut into chunks of `stride` seconds, as its box would have sent it."""
+    """A recording cut into chunks of `stride` seconds, as its box would have sent it.
+
+    Parameters
+    ----------
+    drive : Drive
+        One recording.
+    stride : float
+        s.
+
+    Returns
+    -------
+    list of Chunk
+        In order of time.
+    """
     inertial, gnss = drive.inertial, drive.gnss
     ends = [float(t[i]) for t in (inertial.t, gnss.t) if t.size for i in (0, -1)]
     edges = np.append(np.arange(min(ends, default=0.0), max(ends, default=0.0), stride), np.inf)
@@ -50,13 +63,39 @@ def chunks_of(drive: Drive, stride: float) -> list[Chunk]:
 
 
 def decimated_rate(t: Floats, w: Floats) -> Ticks:
-    """Ticks of a gyro's rate, made as those of the specific force; samples without it are left out."""
+    """Ticks of a gyro's rate, made as those of the specific force; samples without it are left out.
+
+    Parameters
+    ----------
+    t : ndarray, shape (n,)
+        Box clock, s.
+    w : ndarray, shape (n, 3)
+        Angular rate, A-frame, rad/s; NaN where not sampled.
+
+    Returns
+    -------
+    Ticks
+        A-frame, rad/s.
+    """
     known = np.isfinite(w).all(axis=1)
     return decimate(Inertial(t[known], w[known]))
 
 
 def fixes_where(gnss: Gnss, kept: Flags) -> Gnss:
-    """Some of the fixes."""
+    """Some of the fixes.
+
+    Parameters
+    ----------
+    gnss : Gnss
+        n fixes.
+    kept : ndarray of bool, shape (n,)
+        Which of them.
+
+    Returns
+    -------
+    Gnss
+        Without `hdop` and `sats`, which the online estimator does not use.
+    """
     return Gnss(
         t=gnss.t[kept],
         lat=gnss.lat[kept],
@@ -70,7 +109,18 @@ def fixes_where(gnss: Gnss, kept: Flags) -> Gnss:
 
 
 def joined(before: Gnss, after: Gnss) -> Gnss:
-    """Fixes and those that follow; what is not later is left out, UTC that either lacks is dropped."""
+    """Fixes and those that follow; what is not later is left out, UTC that either lacks is dropped.
+
+    Parameters
+    ----------
+    before, after : Gnss
+        Box clock, s.
+
+    Returns
+    -------
+    Gnss
+        In order of time, without `hdop` and `sats`.
+    """
     later = after.t > (before.t[-1] if before.t.size else -np.inf)
     utc = None
     if before.utc is not None and after.utc is not None:
@@ -91,6 +141,16 @@ def jumped_back(before: Gnss, after: Gnss) -> float | None:
     """By how much the box clock jumped back between fixes and those that follow, s; None if it did not.
 
     Fixes of the same UTC by the box clock as before were merely sent again.
+
+    Parameters
+    ----------
+    before, after : Gnss
+        Box clock, s.
+
+    Returns
+    -------
+    float or None
+        s, more than 0.
     """
     if not before.t.size or not after.t.size:
         return None
@@ -109,6 +169,19 @@ def _utc_at_boot(gnss: Gnss) -> float | None:
 
 
 def ticks_since(ticks: Ticks, t: float) -> Ticks:
-    """Ticks from a box time on."""
+    """Ticks from a box time on.
+
+    Parameters
+    ----------
+    ticks : Ticks
+        Of any sensor.
+    t : float
+        Box clock, s.
+
+    Returns
+    -------
+    Ticks
+        Those at `t` and later.
+    """
     kept = ticks.t >= t
     return Ticks(ticks.rate, ticks.index[kept], ticks.weight[kept], ticks.moment[kept], ticks.square[kept])

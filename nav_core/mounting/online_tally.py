@@ -61,7 +61,18 @@ SLOWEST = 3.0
 
 
 def piece_of(t: float) -> float:
-    """Number of the piece that a box time falls into."""
+    """Number of the piece that a box time falls into.
+
+    Parameters
+    ----------
+    t : float
+        Box clock, s.
+
+    Returns
+    -------
+    float
+        A whole number.
+    """
     return float(np.floor(t / PIECE))
 
 
@@ -170,6 +181,18 @@ def moved_on(tally: Tally, before: Filters, after: Filters) -> Tally:
     """The tally with the estimate's move between two looks at it.
 
     An estimate that is worth its covariance moves by as much as the covariance shrinks.
+
+    Parameters
+    ----------
+    tally : Tally
+        What has been found so far.
+    before, after : Filters
+        At the two looks.
+
+    Returns
+    -------
+    Tally
+        `tally` itself where another hypothesis has become the best.
     """
     one, other = before.best, after.best
     if before.mirrored[one] != after.mirrored[other]:
@@ -186,35 +209,103 @@ def moved_on(tally: Tally, before: Filters, after: Filters) -> Tally:
 
 
 def restlessness(tally: Tally) -> Floats:
-    """Factor on sigma by which the estimate has moved more than its covariance said, by axis, shape (3,)."""
+    """Factor on sigma by which the estimate has moved more than its covariance said, by axis, shape (3,).
+
+    Parameters
+    ----------
+    tally : Tally
+        What has been found so far.
+
+    Returns
+    -------
+    ndarray, shape (3,)
+        V axes, 1 or more.
+    """
     return np.sqrt(np.maximum((tally.restless[:, 0] + CALM) / (tally.restless[:, 1] + CALM), 1.0))
 
 
 def mounting_of(filters: Filters) -> Floats:
-    """The likeliest filter's mounting, shape (3, 3)."""
+    """The likeliest filter's mounting, shape (3, 3).
+
+    Parameters
+    ----------
+    filters : Filters
+        Of one box.
+
+    Returns
+    -------
+    ndarray, shape (3, 3)
+        From A to V.
+    """
     best = filters.best
     return Rotation.from_rotvec(filters.x[best, TURN : TURN + 3]).as_matrix() @ filters.R_va[best]
 
 
 def widening(filters: Filters) -> float:
-    """Factor on sigma by which the innovations exceed what the filter expected of them."""
+    """Factor on sigma by which the innovations exceed what the filter expected of them.
+
+    Parameters
+    ----------
+    filters : Filters
+        Of one box.
+
+    Returns
+    -------
+    float
+        1 or more.
+    """
     return float(np.sqrt(max(innovation_ratios(filters).max(), 1.0)))
 
 
 def strangeness(filters: Filters) -> float:
-    """How many times noisier than usual the data are to the likeliest filter, the worse of along and across."""
+    """How many times noisier than usual the data are to the likeliest filter, the worse of along and across.
+
+    Parameters
+    ----------
+    filters : Filters
+        Of one box.
+
+    Returns
+    -------
+    float
+        1 is as usual.
+    """
     return widening(filters) * float(filters.scale[filters.best, [ALONG, ACROSS]].max())
 
 
 def innovation_ratios(filters: Filters) -> Floats:
-    """Mean square of the likeliest filter's normalised innovations along, up and across, shape (3,)."""
+    """Mean square of the likeliest filter's normalised innovations along, up and across, shape (3,).
+
+    Parameters
+    ----------
+    filters : Filters
+        Of one box.
+
+    Returns
+    -------
+    ndarray, shape (3,)
+        1 in the mean where the filter is right.
+    """
     notes = filters.notes[filters.best]
     ratio = (notes[:, 0] + TRUST) / (notes[:, 1] + TRUST)
     return np.array([ratio[OF_SPEED], ratio[OF_CLIMB], max(ratio[OF_COURSE], ratio[OF_SIDE])])
 
 
 def covariance_of(filters: Filters, tally: Tally) -> Floats:
-    """Covariance of the mounting with all that the filter does not know, rad², shape (3, 3)."""
+    """Covariance of the mounting with all that the filter does not know, rad², shape (3, 3).
+
+    Parameters
+    ----------
+    filters : Filters
+        Of one box.
+    tally : Tally
+        What has been found so far.
+
+    Returns
+    -------
+    ndarray, shape (3, 3)
+        About the V axes, rad².
+    """
     best = filters.best
     block = filters.P[best, TURN : TURN + 3, TURN : TURN + 3]
     factor = widening(filters) * restlessness(tally)
@@ -226,6 +317,16 @@ def recent_test(tally: Tally) -> SelfTest | None:
     """The thesis' 40 s test (001 §5.4) over the latest pieces; None without so long an unbroken drive.
 
     Slope-compensated: the force is integrated with the slope and biases that the filter held at the time.
+
+    Parameters
+    ----------
+    tally : Tally
+        What has been found so far.
+
+    Returns
+    -------
+    SelfTest or None
+        Difference to GPS, m/s, and duration, s.
     """
     trail = tally.trail
     if trail.shape[0] < 2:

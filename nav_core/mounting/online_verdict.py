@@ -132,7 +132,18 @@ def _without(progress: float, reasons: tuple[Reason, ...], state: OnlineState) -
 
 
 def estimate(drive: Drive) -> MountingEstimate:
-    """Mounting by the online estimator at the end of a recording."""
+    """Mounting by the online estimator at the end of a recording.
+
+    Parameters
+    ----------
+    drive : Drive
+        One recording.
+
+    Returns
+    -------
+    MountingEstimate
+        rad about the V axes, s, with status and reasons.
+    """
     state = begin()
     for chunk in chunks_of(drive, STRIDE):
         state = advance(state, chunk)

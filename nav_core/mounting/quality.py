@@ -75,7 +75,25 @@ REASONS = {
 
 
 def reason(code: str, value: str = "") -> Reason:
-    """The reason of a code, with its sentence and the value it speaks of."""
+    """The reason of a code, with its sentence and the value it speaks of.
+
+    Parameters
+    ----------
+    code : str
+        Key of `REASONS`.
+    value : str
+        With its unit where the sentence has none.
+
+    Returns
+    -------
+    Reason
+        Code and English sentence.
+
+    Raises
+    ------
+    KeyError
+        For a code that has no sentence.
+    """
     return Reason(code, REASONS[code].format(value))
 
 
@@ -106,7 +124,18 @@ class Excitation:
 
 
 def excitation(record: Record) -> Excitation:
-    """What the drive offered, from the receiver alone."""
+    """What the drive offered, from the receiver alone.
+
+    Parameters
+    ----------
+    record : Record
+        Ticks and fixes of a drive.
+
+    Returns
+    -------
+    Excitation
+        s, rad and m/s².
+    """
     fixes = record.fixes
     if fixes.t.size < 2:
         return Excitation(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -129,6 +158,18 @@ def gravity_wander(record: Record, span: float = 20.0) -> float:
 
     The 80th percentile of the angles between means over `span` seconds and their median.  Hills,
     bends and braking of a fixed box stay under some 6°.
+
+    Parameters
+    ----------
+    record : Record
+        Ticks, A-frame, m/s².
+    span : float
+        s.
+
+    Returns
+    -------
+    float
+        rad, 0 to pi.
     """
     block = np.floor((record.t - record.t[0]) / span).astype(np.int64)
     count = np.bincount(block)
@@ -180,7 +221,20 @@ def sway(fit: Fit) -> Floats:
 
 
 def loosely_held(changes: int, record: Record) -> bool:
-    """Whether a box was moved so often that it is not fixed at all: thrice, and every few minutes."""
+    """Whether a box was moved so often that it is not fixed at all: thrice, and every few minutes.
+
+    Parameters
+    ----------
+    changes : int
+        How often it was moved.
+    record : Record
+        Says for how long it was watched.
+
+    Returns
+    -------
+    bool
+        False for up to two moves.
+    """
     return changes >= 3 and changes * 300.0 > record.fixes.t[-1] - record.fixes.t[0]
 
 
@@ -194,17 +248,52 @@ class Verdict:
     reasons: tuple[Reason, ...]
 
     def held_back(self, code: str) -> Verdict:
-        """The same, but not `ready` because of one more reason."""
+        """The same, but not `ready` because of one more reason.
+
+        Parameters
+        ----------
+        code : str
+            Key of `REASONS`.
+
+        Returns
+        -------
+        Verdict
+            `settling`, the new reason first.
+        """
         return Verdict("settling", min(self.progress, 0.99), self.reliable, (reason(code), *self.reasons))
 
 
 def refusal(why: Reason) -> Verdict:
-    """The verdict on data that cannot give a mounting."""
+    """The verdict on data that cannot give a mounting.
+
+    Parameters
+    ----------
+    why : Reason
+        What is wrong with the data.
+
+    Returns
+    -------
+    Verdict
+        `insufficient`.
+    """
     return Verdict("insufficient", 0.0, False, (why,))
 
 
 def before_fit(record: Record, offered: Excitation) -> Verdict | None:
-    """A verdict where there is nothing to fit; None to go on."""
+    """A verdict where there is nothing to fit; None to go on.
+
+    Parameters
+    ----------
+    record : Record
+        Ticks and fixes of a drive.
+    offered : Excitation
+        What `excitation` says of it.
+
+    Returns
+    -------
+    Verdict or None
+        `insufficient`, with the reason.
+    """
     fixes = record.fixes.t.size
     if fixes < LEAST_FIXES:
         return Verdict("insufficient", 0.0, False, (reason("few_fixes" if fixes else "no_fix"),))
@@ -221,6 +310,18 @@ def fits_a_car(start: Start, offered: Excitation) -> bool:
 
     The closed form takes slopes for acceleration and so comes out short where there is little of
     the latter; where there is much, what is missing is the car.
+
+    Parameters
+    ----------
+    start : Start
+        Of the closed form.
+    offered : Excitation
+        What the drive had.
+
+    Returns
+    -------
+    bool
+        True where its strength is near 1.
     """
     missing = 0.2 if offered.vigour > LIVELY else 0.5
     return abs(start.strength - 1.0) < max(missing, 3.0 * start.sigma)
@@ -279,7 +380,22 @@ def progress_of(sigma: Floats, eventful: float) -> float:
 
 
 def missing(sigma: Floats, along: float, turned: float) -> tuple[Reason, ...]:
-    """What would help: sigma about the V axes, rad; time with noticeable acceleration along, s; all turning, rad."""
+    """What would help: sigma about the V axes, rad; time with noticeable acceleration along, s; all turning, rad.
+
+    Parameters
+    ----------
+    sigma : ndarray, shape (3,)
+        rad.
+    along : float
+        s.
+    turned : float
+        rad.
+
+    Returns
+    -------
+    tuple of Reason
+        At least one.
+    """
     codes: list[str] = []
     if sigma[1] > CONVERGED or along < MIN_EVENTFUL:
         codes.append("few_events")

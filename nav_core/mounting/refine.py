@@ -73,7 +73,20 @@ class Fit:
     begin: float
 
     def solve(self, gram: Floats) -> tuple[Floats, Floats]:
-        """Unknowns and covariance from some of the evidence, shapes (..., 13) and (..., 13, 13)."""
+        """Unknowns and covariance from some of the evidence, shapes (..., 13) and (..., 13, 13).
+
+        Parameters
+        ----------
+        gram : ndarray, shape (..., 14, 14)
+            Sum of some of `gram`.
+
+        Returns
+        -------
+        solution : ndarray, shape (..., 13)
+            In the units of `p`.
+        covariance : ndarray, shape (..., 13, 13)
+            Of it.
+        """
         information = gram[..., 1:, 1:] + np.diag(self.prior + 1e-6)
         covariance = np.asarray(np.linalg.inv(information), dtype=np.float64)
         pull = self.prior_pull - gram[..., 1:, 0]
@@ -91,7 +104,30 @@ def weigh(
     *,
     restart: bool = False,
 ) -> Evidence:
-    """Evidence of both planes at a mounting, the four kinds of measurement side by side; see `whiten`."""
+    """Evidence of both planes at a mounting, the four kinds of measurement side by side; see `whiten`.
+
+    Parameters
+    ----------
+    record : Record
+        Ticks, A-frame, and fixes.
+    R_va : ndarray, shape (3, 3)
+        From A to V.
+    lags : tuple of float
+        Of GPS speed and course, s.
+    noise : Noise
+        What to expect.
+    p : ndarray, shape (13,)
+        The unknowns, for the innovations that `limit` judges.
+    limit : float
+        Sigmas beyond which an innovation is weighted down.
+    restart : bool
+        As in `whiten`.
+
+    Returns
+    -------
+    Evidence
+        By stretches of `BLOCK` seconds; k = 4: speed, height, climb, course.
+    """
     block = blocks_of(record.fixes.t, record.fixes.t[0], BLOCK)
     count = int(block[-1]) + 1
     pitch = whiten(pitch_plane(record, R_va, lags[0], noise), block, count, p, limit=limit, restart=restart)

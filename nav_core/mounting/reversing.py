@@ -120,7 +120,18 @@ def _backwards(t: Floats, legs: list[_Leg], run: list[int], flips: list[bool]) -
 
 
 def distances(lat: Floats, lon: Floats) -> Floats:
-    """From fix to fix on the ground, m, shape (n - 1,); `lat` and `lon` in rad."""
+    """From fix to fix on the ground, m, shape (n - 1,); `lat` and `lon` in rad.
+
+    Parameters
+    ----------
+    lat, lon : ndarray, shape (n,)
+        Geodetic, rad.
+
+    Returns
+    -------
+    ndarray, shape (n - 1,)
+        m, on a sphere.
+    """
     radius = 6.371e6
     east = np.diff(lon) * np.cos(0.5 * (lat[1:] + lat[:-1]))
     return radius * np.hypot(np.diff(lat), east)

@@ -51,7 +51,20 @@ def solve(record: Record, noise: Noise) -> Solution:
 
 
 def excerpt(record: Record, length: float) -> Record:
-    """The most eventful stretch of a record, at most `length` seconds long."""
+    """The most eventful stretch of a record, at most `length` seconds long.
+
+    Parameters
+    ----------
+    record : Record
+        Ticks and fixes.
+    length : float
+        s.
+
+    Returns
+    -------
+    Record
+        `record` itself where it is no longer.
+    """
     t = record.fixes.t
     if t[-1] - t[0] <= length:
         return record
@@ -62,7 +75,20 @@ def excerpt(record: Record, length: float) -> Record:
 
 
 def between(record: Record, begin: float, end: float) -> Record:
-    """The part of a record from one box time to another, s; its first step counts from nowhere."""
+    """The part of a record from one box time to another, s; its first step counts from nowhere.
+
+    Parameters
+    ----------
+    record : Record
+        Ticks and fixes.
+    begin, end : float
+        Box clock, s; both included.
+
+    Returns
+    -------
+    Record
+        Of the same ticks and fixes.
+    """
     inside = (record.fixes.t >= begin) & (record.fixes.t <= end)
     ticks = (record.t >= begin) & (record.t <= end)
     step = record.step[ticks].copy()

@@ -96,6 +96,16 @@ def grain(ticks: Ticks) -> Floats:
     The samples' scatter about their tick is vibration for the most.  Folded by slow sampling it is
     as good as white noise; otherwise the decimation filters it away, all but a share.  The effective
     number of samples under a Hann window is ``(sum w)² / sum w²``, four thirds of its weight.
+
+    Parameters
+    ----------
+    ticks : Ticks
+        n ticks of the specific force, m/s².
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        (m/s²)²/Hz.
     """
     independent = np.maximum(4.0 / 3.0 * ticks.weight, 1.5)
     variance = ticks.scatter**2 / 3.0 / (1.0 - 1.0 / independent)
@@ -104,7 +114,20 @@ def grain(ticks: Ticks) -> Floats:
 
 
 def prepare(ticks: Ticks, fixes: Fixes) -> Record:
-    """Valid ticks around the fixes, with the gaps marked."""
+    """Valid ticks around the fixes, with the gaps marked.
+
+    Parameters
+    ----------
+    ticks : Ticks
+        Of the specific force, A-frame, m/s².
+    fixes : Fixes
+        Usable ones.
+
+    Returns
+    -------
+    Record
+        Steps of 0 s over gaps.
+    """
     inside = ticks.valid
     if fixes.t.size:
         inside &= (ticks.t >= fixes.t[0] - 3.0) & (ticks.t <= fixes.t[-1] + 1.0)
@@ -116,7 +139,20 @@ def prepare(ticks: Ticks, fixes: Fixes) -> Record:
 
 
 def integrate(record: Record, values: Floats) -> Floats:
-    """Running trapezoid integral of tick values over valid time, shape like `values`."""
+    """Running trapezoid integral of tick values over valid time, shape like `values`.
+
+    Parameters
+    ----------
+    record : Record
+        m ticks.
+    values : ndarray, shape (m, ...)
+        In any unit.
+
+    Returns
+    -------
+    ndarray, shape (m, ...)
+        That unit times s.
+    """
     step = record.step if values.ndim == 1 else record.step[:, None]
     mean = values.copy()
     mean[1:] += values[:-1]
@@ -124,7 +160,22 @@ def integrate(record: Record, values: Floats) -> Floats:
 
 
 def smoothed(record: Record, values: Floats, reach: float) -> Floats:
-    """Mean of tick values over `reach` seconds either side, shape (m,)."""
+    """Mean of tick values over `reach` seconds either side, shape (m,).
+
+    Parameters
+    ----------
+    record : Record
+        m ticks.
+    values : ndarray, shape (m,)
+        In any unit.
+    reach : float
+        s.
+
+    Returns
+    -------
+    ndarray, shape (m,)
+        In that unit.
+    """
     total = np.concatenate([[0.0], np.cumsum(values)])
     first = np.searchsorted(record.t, record.t - reach)
     last = np.searchsorted(record.t, record.t + reach, side="right")
@@ -132,7 +183,22 @@ def smoothed(record: Record, values: Floats, reach: float) -> Floats:
 
 
 def at(record: Record, when: Floats, values: Floats) -> Floats:
-    """Tick values at any times, linear in between, shape (n,) or (n, k)."""
+    """Tick values at any times, linear in between, shape (n,) or (n, k).
+
+    Parameters
+    ----------
+    record : Record
+        m ticks.
+    when : ndarray, shape (n,)
+        Box clock, s; the ends hold beyond the ticks.
+    values : ndarray, shape (m, ...)
+        In any unit.
+
+    Returns
+    -------
+    ndarray, shape (n, ...)
+        In that unit.
+    """
     if record.t.size == 0:
         return np.zeros((when.size, *values.shape[1:]))
     right = np.clip(np.searchsorted(record.t, when), 1, max(record.t.size - 1, 1))
@@ -158,7 +224,20 @@ class Steps(NamedTuple):
 
 
 def steps_of(record: Record, lag: float) -> Steps:
-    """Steps that end at each fix's own moment, ``t - lag``."""
+    """Steps that end at each fix's own moment, ``t - lag``.
+
+    Parameters
+    ----------
+    record : Record
+        Ticks and n fixes.
+    lag : float
+        s.
+
+    Returns
+    -------
+    Steps
+        n of them; the first has no data.
+    """
     when = record.fixes.t - lag
     elapsed = np.diff(when, prepend=when[:1])
     covered = np.diff(at(record, when, np.cumsum(record.step)), prepend=0.0)
@@ -171,7 +250,22 @@ def steps_of(record: Record, lag: float) -> Steps:
 
 
 def gps_rate(t: Floats, values: Floats, reach: float = 1.0) -> Floats:
-    """Rate of change of what the receiver says, over `reach` seconds either side, shape (n,)."""
+    """Rate of change of what the receiver says, over `reach` seconds either side, shape (n,).
+
+    Parameters
+    ----------
+    t : ndarray, shape (n,)
+        Box clock, s.
+    values : ndarray, shape (n,)
+        In any unit; NaN where unknown.
+    reach : float
+        s.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        That unit per s.
+    """
     known = np.isfinite(values)
     if known.sum() < 2:
         return np.zeros(t.size)
@@ -187,6 +281,20 @@ def clear_rate(t: Floats, values: Floats, noise: Floats | float) -> Floats:
     The derivatives to lags and suspension gains are taken from this.  The accelerometer would not
     do: it feels slope and bank as well, and a highway has more of those than of acceleration.  Nor
     would the bare rate: its noise would pass for knowledge of the lag.
+
+    Parameters
+    ----------
+    t : ndarray, shape (n,)
+        Box clock, s.
+    values : ndarray, shape (n,)
+        In any unit; NaN where unknown.
+    noise : ndarray or float, shape (n,)
+        In that unit; one number for all fixes will do.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        That unit per s.
     """
     rate = gps_rate(t, values)
     doubt = 2.0 * noise / np.sqrt(2.0)
@@ -194,7 +302,18 @@ def clear_rate(t: Floats, values: Floats, noise: Floats | float) -> Floats:
 
 
 def unrolled(course: Floats) -> Floats:
-    """Course without jumps at north; NaN stay."""
+    """Course without jumps at north; NaN stay.
+
+    Parameters
+    ----------
+    course : ndarray, shape (n,)
+        rad.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        rad, no longer within one turn.
+    """
     known = np.isfinite(course)
     out = course.copy()
     out[known] = np.unwrap(course[known])
@@ -209,6 +328,16 @@ def rough_share(dt: Floats) -> Floats:
     """Share of white noise, integrated over `dt` seconds, that the decimation leaves, shape (n,).
 
     ``E max(dt - |d|, 0) / dt`` with d the distance of two draws from the window, taken as normal.
+
+    Parameters
+    ----------
+    dt : ndarray, shape (n,)
+        s.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        0 to 1.
     """
     s = np.sqrt(2.0) * WINDOW_SPREAD
     z = np.maximum(dt, 1e-3) / s
@@ -216,5 +345,20 @@ def rough_share(dt: Floats) -> Floats:
 
 
 def blocks_of(t: Floats, origin: float, length: float) -> Integers:
-    """Number of the stretch of `length` seconds that each time falls into."""
+    """Number of the stretch of `length` seconds that each time falls into.
+
+    Parameters
+    ----------
+    t : ndarray, shape (n,)
+        s.
+    origin : float
+        Start of stretch 0, s; what is earlier belongs to it.
+    length : float
+        s.
+
+    Returns
+    -------
+    ndarray of int, shape (n,)
+        From 0.
+    """
     return np.maximum(np.floor((t - origin) / length), 0).astype(np.int64)

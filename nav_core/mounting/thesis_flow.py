@@ -108,7 +108,20 @@ def moving_average(q: Floats, window: int = WINDOW) -> Floats:
 
 
 def settled(mean: Floats, limit: float = STABLE_STEP) -> Flags:
-    """STABLE of 001 §5.3: the moving average turns by less than `limit` from row to row, shape (n,)."""
+    """STABLE of 001 §5.3: the moving average turns by less than `limit` from row to row, shape (n,).
+
+    Parameters
+    ----------
+    mean : ndarray, shape (n, 4)
+        Quaternions (x, y, z, w), signs aligned.
+    limit : float
+        rad per row.
+
+    Returns
+    -------
+    ndarray of bool, shape (n,)
+        False at the first row.
+    """
     # Between neighbours the chord is exact enough and, unlike the arc cosine, has no rounding noise at 1.
     chord = np.linalg.norm(np.diff(mean, axis=0), axis=1)
     return np.append(False, 2.0 * chord < limit)
@@ -118,6 +131,16 @@ def curves(steps: Steps) -> Flags:
     """Rows at which the vehicle has just turned fast enough for RELIABLE (001 §5.3), shape (n,).
 
     The course is summed from wrapped differences, so passing north is no peak; the rate is that of the last second.
+
+    Parameters
+    ----------
+    steps : Steps
+        n rows.
+
+    Returns
+    -------
+    ndarray of bool, shape (n,)
+        In order.
     """
     heading = np.cumsum(np.where(steps.turning, steps.turn_rate * steps.period, 0.0))
     slow = np.cumsum((steps.speed < RELIABLE_SPEED) | ~steps.turning)
@@ -129,7 +152,22 @@ def curves(steps: Steps) -> Flags:
 
 
 def run_test(steps: Steps, mean: Floats, saved: int) -> Trial:
-    """Integrate the longitudinal specific force of a saved mounting against GPS speed (001 eqs. 5.5, 5.6)."""
+    """Integrate the longitudinal specific force of a saved mounting against GPS speed (001 eqs. 5.5, 5.6).
+
+    Parameters
+    ----------
+    steps : Steps
+        Rows of the drive.
+    mean : ndarray, shape (n, 4)
+        Quaternions of `R_va`, (x, y, z, w).
+    saved : int
+        Row at which it was saved.
+
+    Returns
+    -------
+    Trial
+        Drift, m/s, and duration, s.
+    """
     ended = int(np.searchsorted(steps.t, steps.t[saved] + TEST_DURATION, side="left"))
     lasted = ended < steps.t.size
     ended = min(ended, steps.t.size - 1)

@@ -24,7 +24,15 @@ EIGENVALUE_PERIOD = 10.0
 
 @kernel
 def rotation_of(q: Floats, R: Floats) -> None:
-    """Write the matrix of a unit quaternion (x, y, z, w) into `R` (001 eq. C.3)."""
+    """Write the matrix of a unit quaternion (x, y, z, w) into `R` (001 eq. C.3).
+
+    Parameters
+    ----------
+    q : ndarray, shape (4,)
+        Of length 1.
+    R : ndarray, shape (3, 3)
+        Overwritten.
+    """
     x, y, z, w = q[0], q[1], q[2], q[3]
     R[0, 0] = w * w + x * x - y * y - z * z
     R[0, 1] = 2.0 * (x * y - z * w)
@@ -42,6 +50,17 @@ def small_rotation(a: Floats, v: Floats, out: Floats, J: Floats) -> None:
     """Write ``R(dq(a)) v`` into `out` and its derivative with respect to `a` into `J` (001 eq. 4.26).
 
     With ``s = 4 / (4 + |a|²)`` the rotation is ``v + s (a x v + a x (a x v) / 2)``; its transpose is that of ``-a``.
+
+    Parameters
+    ----------
+    a : ndarray, shape (3,)
+        Rodrigues vector ``2 tan(angle/2)``, rad for small angles.
+    v : ndarray, shape (3,)
+        In any unit.
+    out : ndarray, shape (3,)
+        In that unit; overwritten.
+    J : ndarray, shape (3, 3)
+        Overwritten.
     """
     n = a[0] * a[0] + a[1] * a[1] + a[2] * a[2]
     s = 4.0 / (4.0 + n)
@@ -61,7 +80,15 @@ def small_rotation(a: Floats, v: Floats, out: Floats, J: Floats) -> None:
 
 @kernel
 def turn_reference(a: Floats, q: Floats) -> None:
-    """Replace the reference `q` by ``dq(a) q`` (001 eqs. 4.26, 4.29, 4.30)."""
+    """Replace the reference `q` by ``dq(a) q`` (001 eqs. 4.26, 4.29, 4.30).
+
+    Parameters
+    ----------
+    a : ndarray, shape (3,)
+        Rodrigues vector, rad.
+    q : ndarray, shape (4,)
+        Order (x, y, z, w); overwritten.
+    """
     x = a[0] * q[3] + 2.0 * q[0] + a[1] * q[2] - a[2] * q[1]
     y = a[1] * q[3] + 2.0 * q[1] + a[2] * q[0] - a[0] * q[2]
     z = a[2] * q[3] + 2.0 * q[2] + a[0] * q[1] - a[1] * q[0]
@@ -75,6 +102,15 @@ def transport(a: Floats, first: int, P: Floats) -> None:
     """Carry three states of `P` over to the reference moved by `a`: ``M = s (I + [a]x / 2)``.
 
     `M` is the derivative at ``a`` of the Rodrigues vector of ``dq(.) dq(a)^-1``.
+
+    Parameters
+    ----------
+    a : ndarray, shape (3,)
+        Rodrigues vector, rad.
+    first : int
+        Index of the first of the three states.
+    P : ndarray, shape (9, 9)
+        Overwritten.
     """
     s = 4.0 / (4.0 + a[0] * a[0] + a[1] * a[1] + a[2] * a[2])
     h0, h1, h2 = 0.5 * a[0], 0.5 * a[1], 0.5 * a[2]
@@ -93,7 +129,23 @@ def transport(a: Floats, first: int, P: Floats) -> None:
 
 @kernel
 def process_noise(P: Floats, v_x: float, omega: float, T: float, tuning: Tuning, errata: Errata) -> None:
-    """Add ``G(x) Q_w G(x)'`` of 001 eqs. 4.63-4.70 to `P`."""
+    """Add ``G(x) Q_w G(x)'`` of 001 eqs. 4.63-4.70 to `P`.
+
+    Parameters
+    ----------
+    P : ndarray, shape (9, 9)
+        Added to.
+    v_x : float
+        m/s.
+    omega : float
+        rad/s.
+    T : float
+        s.
+    tuning : Tuning
+        Of table 5.1, in SI units.
+    errata : Errata
+        Which corrections hold.
+    """
     P[0, 0] += tuning.acceleration * T * T * T / 3.0
     P[0, 1] += tuning.acceleration * T * T / 2.0
     P[1, 0] += tuning.acceleration * T * T / 2.0
@@ -114,7 +166,21 @@ def process_noise(P: Floats, v_x: float, omega: float, T: float, tuning: Tuning,
 
 @kernel
 def predict(x: Floats, P: Floats, T: float, tuning: Tuning, errata: Errata) -> None:
-    """Predict state and covariance over `T` (001 eqs. 4.14-4.17 with 4.46); `a_V` and `a_A` start at zero."""
+    """Predict state and covariance over `T` (001 eqs. 4.14-4.17 with 4.46); `a_V` and `a_A` start at zero.
+
+    Parameters
+    ----------
+    x : ndarray, shape (9,)
+        v_x (m/s), a_x (m/s²), omega_z (rad/s), a_V, a_A (rad); overwritten.
+    P : ndarray, shape (9, 9)
+        Overwritten.
+    T : float
+        s.
+    tuning : Tuning
+        Of table 5.1, in SI units.
+    errata : Errata
+        Which corrections hold.
+    """
     v_x = x[0]
     omega = x[2] * v_x if tuning.steering else x[2]
     clockwise = 1.0 if errata.course else -1.0
@@ -152,6 +218,25 @@ def measurement_model(
     """Write ``h`` of 001 eqs. 4.55-4.62 and its Jacobian, at ``a_A = 0``, into `h` (7,) and `H` (7, 9).
 
     With `steering` the third state is the curvature of 4.10.  `work` (12, 3) is scratch.
+
+    Parameters
+    ----------
+    x : ndarray, shape (9,)
+        The states.
+    q_V : ndarray, shape (4,)
+        Vehicle in T, (x, y, z, w).
+    q_A : ndarray, shape (4,)
+        Box in V, (x, y, z, w).
+    clockwise : float
+        1, or -1 for a course counted counter-clockwise.
+    steering : bool
+        Whether the third state is a curvature, 1/m.
+    h : ndarray, shape (7,)
+        Specific force, m/s², velocity, m/s, turn rate, rad/s; overwritten.
+    H : ndarray, shape (7, 9)
+        Overwritten.
+    work : ndarray, shape (12, 3)
+        Overwritten.
     """
     R_tv, R_va, J = work[:3], work[3:6], work[6:9]
     vector, turned, back = work[9], work[10], work[11]
@@ -200,6 +285,28 @@ def assimilate(y: float, r: float, h: float, row: Floats, dx: Floats, P: Floats,
     """Fold one scalar measurement into the correction `dx` and `P`; returns its squared normalised innovation.
 
     `h` and `row` belong to the prediction, so the innovation is what `dx` leaves of ``y - h``.
+
+    Parameters
+    ----------
+    y : float
+        Measured.
+    r : float
+        Variance of its noise.
+    h : float
+        Expected.
+    row : ndarray, shape (9,)
+        Derivative of `h` by the states.
+    dx : ndarray, shape (9,)
+        Overwritten.
+    P : ndarray, shape (9, 9)
+        Overwritten.
+    spread : ndarray, shape (9,)
+        Overwritten.
+
+    Returns
+    -------
+    float
+        Without unit.
     """
     innovation = y - h
     variance = r
@@ -227,6 +334,32 @@ def update(
     """Update state and covariance with the measurements `used` (001 eqs. 4.18-4.23); returns their chi square.
 
     `work` (2, 9) is scratch.
+
+    Parameters
+    ----------
+    x : ndarray, shape (9,)
+        Overwritten.
+    P : ndarray, shape (9, 9)
+        Overwritten.
+    y : ndarray, shape (7,)
+        Specific force, m/s², velocity, m/s, turn rate, rad/s.
+    r : ndarray, shape (7,)
+        Variances of their noise.
+    used : ndarray of bool, shape (7,)
+        Which are measured.
+    h : ndarray, shape (7,)
+        Expected.
+    H : ndarray, shape (7, 9)
+        Derivative of `h`.
+    errata : Errata
+        Which corrections hold.
+    work : ndarray, shape (2, 9)
+        Overwritten.
+
+    Returns
+    -------
+    float
+        Without unit.
     """
     dx, spread = work[0], work[1]
     dx[:] = 0.0
@@ -249,7 +382,21 @@ def update(
 
 @kernel
 def restart_vehicle(x: Floats, P: Floats, q_V: Floats, velocity: Floats, speed: float) -> None:
-    """Set the vehicle level, on its course and at its GPS speed, and forget what tied it to the mounting."""
+    """Set the vehicle level, on its course and at its GPS speed, and forget what tied it to the mounting.
+
+    Parameters
+    ----------
+    x : ndarray, shape (9,)
+        All but the mounting's are overwritten.
+    P : ndarray, shape (9, 9)
+        Overwritten.
+    q_V : ndarray, shape (4,)
+        Vehicle in T; overwritten.
+    velocity : ndarray, shape (3,)
+        By GPS, m/s, T axes.
+    speed : float
+        By GPS, m/s.
+    """
     half = 0.5 * np.arctan2(velocity[1], velocity[0])
     q_V[0], q_V[1], q_V[2], q_V[3] = 0.0, 0.0, np.sin(half), np.cos(half)
     for j in range(6):
@@ -263,7 +410,19 @@ def restart_vehicle(x: Floats, P: Floats, q_V: Floats, velocity: Floats, speed: 
 
 @kernel
 def move_references(x: Floats, P: Floats, q_V: Floats, q_A: Floats, errata: Errata) -> None:
-    """Put `a_V` and `a_A` into the reference quaternions and zero them (001 eqs. 4.29, 4.30)."""
+    """Put `a_V` and `a_A` into the reference quaternions and zero them (001 eqs. 4.29, 4.30).
+
+    Parameters
+    ----------
+    x : ndarray, shape (9,)
+        Overwritten.
+    P : ndarray, shape (9, 9)
+        Overwritten.
+    q_V, q_A : ndarray, shape (4,)
+        Order (x, y, z, w); overwritten.
+    errata : Errata
+        Which corrections hold.
+    """
     turn_reference(x[3:6], q_V)
     turn_reference(x[6:9], q_A)
     if errata.reset:
@@ -277,6 +436,21 @@ def filter_drive(
     steps: Steps, x: Floats, P: Floats, q_V: Floats, q_A: Floats, tuning: Tuning, errata: Errata
 ) -> tuple[int, Floats, Floats, Floats, Floats, Floats, Floats]:
     """Run the filter over a drive; `x`, `P`, `q_V` and `q_A` are its start and are overwritten with its end.
+
+    Parameters
+    ----------
+    steps : Steps
+        n rows.
+    x : ndarray, shape (9,)
+        v_x (m/s), a_x (m/s²), omega_z (rad/s), a_V, a_A (rad).
+    P : ndarray, shape (9, 9)
+        Its covariance.
+    q_V, q_A : ndarray, shape (4,)
+        Vehicle in T, box in V, (x, y, z, w).
+    tuning : Tuning
+        Of table 5.1, in SI units.
+    errata : Errata
+        Which corrections hold.
 
     Returns
     -------

@@ -100,7 +100,18 @@ ErrataName = Literal["corrected", "printed"]
 
 
 def errata_named(errata: ErrataName | Errata) -> Errata:
-    """The set of corrections behind a name."""
+    """The set of corrections behind a name.
+
+    Parameters
+    ----------
+    errata : ErrataName or Errata
+        A name, or the set itself.
+
+    Returns
+    -------
+    Errata
+        `CORRECTED`, `PRINTED`, or what was given.
+    """
     if isinstance(errata, Errata):
         return errata
     return {"corrected": CORRECTED, "printed": PRINTED}[errata]

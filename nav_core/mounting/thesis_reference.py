@@ -17,12 +17,36 @@ FORWARD, RIGHT, DOWN = np.eye(3)
 
 
 def small_matrix(a: Floats) -> Floats:
-    """``R(dq(a))`` of 001 eq. 4.26, shape (3, 3)."""
+    """``R(dq(a))`` of 001 eq. 4.26, shape (3, 3).
+
+    Parameters
+    ----------
+    a : ndarray, shape (3,)
+        Rodrigues vector ``2 tan(angle/2)``, rad for small angles.
+
+    Returns
+    -------
+    ndarray, shape (3, 3)
+        A rotation.
+    """
     return Rotation.from_quat([*a, 2.0]).as_matrix()
 
 
 def small_derivative(a: Floats, v: Floats) -> Floats:
-    """Derivative of ``R(dq(a)) v`` with respect to `a`, shape (3, 3)."""
+    """Derivative of ``R(dq(a)) v`` with respect to `a`, shape (3, 3).
+
+    Parameters
+    ----------
+    a : ndarray, shape (3,)
+        Rodrigues vector, rad.
+    v : ndarray, shape (3,)
+        In any unit.
+
+    Returns
+    -------
+    ndarray, shape (3, 3)
+        In that unit.
+    """
     s = 4.0 / (4.0 + a @ a)
     turned = np.cross(a, v) + 0.5 * np.cross(a, np.cross(a, v))
     bend = 0.5 * ((a @ v) * np.eye(3) + np.outer(a, v) - 2.0 * np.outer(v, a))
@@ -30,7 +54,28 @@ def small_derivative(a: Floats, v: Floats) -> Floats:
 
 
 def predicted(x: Floats, P: Floats, T: float, tuning: Tuning, errata: Errata) -> tuple[Floats, Floats]:
-    """State and covariance over `T` (001 eqs. 4.14-4.17, 4.46-4.51, 4.63-4.70)."""
+    """State and covariance over `T` (001 eqs. 4.14-4.17, 4.46-4.51, 4.63-4.70).
+
+    Parameters
+    ----------
+    x : ndarray, shape (9,)
+        The states.
+    P : ndarray, shape (9, 9)
+        Their covariance.
+    T : float
+        s.
+    tuning : Tuning
+        Of table 5.1, in SI units.
+    errata : Errata
+        Which corrections hold.
+
+    Returns
+    -------
+    x : ndarray, shape (9,)
+        After `T`.
+    P : ndarray, shape (9, 9)
+        After `T`.
+    """
     sense = 1.0 if errata.course else -1.0
     v_x = x[0]
     omega = v_x * x[2] if tuning.steering else x[2]
@@ -57,7 +102,26 @@ def predicted(x: Floats, P: Floats, T: float, tuning: Tuning, errata: Errata) ->
 
 
 def measured(x: Floats, R_tv: Floats, R_va: Floats, errata: Errata, *, steering: bool) -> tuple[Floats, Floats]:
-    """``h`` (7,) of 001 eqs. 4.55-4.62 at ``a_A = 0`` and its Jacobian (7, 9); with `steering`, that of 4.10."""
+    """``h`` (7,) of 001 eqs. 4.55-4.62 at ``a_A = 0`` and its Jacobian (7, 9); with `steering`, that of 4.10.
+
+    Parameters
+    ----------
+    x : ndarray, shape (9,)
+        The states.
+    R_tv, R_va : ndarray, shape (3, 3)
+        The references.
+    errata : Errata
+        Which corrections hold.
+    steering : bool
+        Whether the third state is a curvature, 1/m.
+
+    Returns
+    -------
+    h : ndarray, shape (7,)
+        Specific force, m/s², velocity, m/s, turn rate, rad/s.
+    H : ndarray, shape (7, 9)
+        Its Jacobian.
+    """
     if steering:
         # The chain rule through omega_z = v_x x_steer.
         inner = np.eye(9)
@@ -85,7 +149,32 @@ def measured(x: Floats, R_tv: Floats, R_va: Floats, errata: Errata, *, steering:
 
 
 def updated(x: Floats, P: Floats, e: Floats, H: Floats, r: Floats, errata: Errata) -> tuple[Floats, Floats, float]:
-    """Joint update of 001 eqs. 4.20-4.23 with the residuals `e`; also their chi square."""
+    """Joint update of 001 eqs. 4.20-4.23 with the residuals `e`; also their chi square.
+
+    Parameters
+    ----------
+    x : ndarray, shape (9,)
+        Predicted.
+    P : ndarray, shape (9, 9)
+        Its covariance.
+    e : ndarray, shape (m,)
+        Measured less expected.
+    H : ndarray, shape (m, 9)
+        Measurement matrix.
+    r : ndarray, shape (m,)
+        Variances of the noise.
+    errata : Errata
+        Which corrections hold.
+
+    Returns
+    -------
+    x : ndarray, shape (9,)
+        Updated.
+    P : ndarray, shape (9, 9)
+        Updated.
+    chi2 : float
+        Without unit.
+    """
     S = H @ P @ H.T + np.diag(r)
     K = np.linalg.solve(S, H @ P).T
     if errata.covariance:
@@ -97,7 +186,18 @@ def updated(x: Floats, P: Floats, e: Floats, H: Floats, r: Floats, errata: Errat
 
 
 def reset_matrix(a: Floats) -> Floats:
-    """Derivative, at ``a``, of the small rotation left over when the reference has been moved by `a`."""
+    """Derivative, at ``a``, of the small rotation left over when the reference has been moved by `a`.
+
+    Parameters
+    ----------
+    a : ndarray, shape (3,)
+        Rodrigues vector, rad.
+
+    Returns
+    -------
+    ndarray, shape (3, 3)
+        ``s (I + [a]x / 2)``.
+    """
     return 4.0 / (4.0 + a @ a) * (np.eye(3) + 0.5 * skew(a))
 
 
@@ -105,6 +205,21 @@ def filter_reference(
     steps: Steps, x: Floats, P: Floats, q_V: Floats, q_A: Floats, tuning: Tuning, errata: Errata
 ) -> tuple[Floats, Floats, Floats, Floats]:
     """`thesis_kernel.filter_drive` in plain numpy.
+
+    Parameters
+    ----------
+    steps : Steps
+        n rows.
+    x : ndarray, shape (9,)
+        States at the start.
+    P : ndarray, shape (9, 9)
+        Their covariance.
+    q_V, q_A : ndarray, shape (4,)
+        Vehicle in T, box in V, (x, y, z, w), at the start.
+    tuning : Tuning
+        Of table 5.1, in SI units.
+    errata : Errata
+        Which corrections hold.
 
     Returns
     -------
@@ -143,7 +258,26 @@ def filter_reference(
 
 
 def restarted(P: Floats, velocity: Floats, speed: float) -> tuple[Floats, Floats, Floats]:
-    """State, covariance and ``R_tv`` of a vehicle set level on its course."""
+    """State, covariance and ``R_tv`` of a vehicle set level on its course.
+
+    Parameters
+    ----------
+    P : ndarray, shape (9, 9)
+        Before.
+    velocity : ndarray, shape (3,)
+        By GPS, m/s, T axes.
+    speed : float
+        By GPS, m/s.
+
+    Returns
+    -------
+    x : ndarray, shape (9,)
+        With nothing but the speed.
+    P : ndarray, shape (9, 9)
+        The mounting's block as before, alone.
+    R_tv : ndarray, shape (3, 3)
+        Level.
+    """
     after = np.diag([*VEHICLE_START, 0.0, 0.0, 0.0])
     after[6:, 6:] = P[6:, 6:]
     heading = float(np.arctan2(velocity[1], velocity[0]))

@@ -210,6 +210,16 @@ def sampling_rate(ticks: Ticks) -> float:
 
     Where the samples are farther apart than the ticks, they are counted: the window's weights of one add up to half
     its width.
+
+    Parameters
+    ----------
+    ticks : Ticks
+        Of the specific force.
+
+    Returns
+    -------
+    float
+        Hz.
     """
     if ticks.weight.size == 0:
         return 0.0
@@ -221,13 +231,39 @@ def sampling_rate(ticks: Ticks) -> float:
 
 
 def slow_samples(ticks: Ticks) -> Reason | None:
-    """Whether the accelerometer is slow."""
+    """Whether the accelerometer is slow.
+
+    Parameters
+    ----------
+    ticks : Ticks
+        Of the specific force.
+
+    Returns
+    -------
+    Reason or None
+        None of a rate that is high enough, or of no ticks.
+    """
     rate = sampling_rate(ticks)
     return reason("slow_accelerometer", f"{rate:.2g}") if 0.0 < rate < SLOW_SAMPLES else None
 
 
 def explained(reasons: tuple[Reason, ...], ticks: Ticks, code: str = "mismatch") -> tuple[Reason, ...]:
-    """The reasons, with an accelerometer that is too slow in place of the mismatch (or `code`) that it makes."""
+    """The reasons, with an accelerometer that is too slow in place of the mismatch (or `code`) that it makes.
+
+    Parameters
+    ----------
+    reasons : tuple of Reason
+        Of a verdict.
+    ticks : Ticks
+        Of the specific force.
+    code : str
+        What slow sampling looks like.
+
+    Returns
+    -------
+    tuple of Reason
+        Unchanged where the accelerometer is not too slow.
+    """
     slow = slow_samples(ticks)
     if slow is None or code not in {each.code for each in reasons} or sampling_rate(ticks) >= TOO_SLOW:
         return reasons
@@ -235,7 +271,18 @@ def explained(reasons: tuple[Reason, ...], ticks: Ticks, code: str = "mismatch")
 
 
 def slow_fixes(gnss: Gnss) -> Reason | None:
-    """Whether the receiver is slow."""
+    """Whether the receiver is slow.
+
+    Parameters
+    ----------
+    gnss : Gnss
+        Of a recording.
+
+    Returns
+    -------
+    Reason or None
+        None of a rate that is high enough, or of too few fixes.
+    """
     t = gnss.t[gnss.fix & ~stale(gnss)]
     if t.size < 10:
         return None
@@ -244,7 +291,18 @@ def slow_fixes(gnss: Gnss) -> Reason | None:
 
 
 def frozen(gnss: Gnss) -> Reason | None:
-    """Whether the receiver repeated old fixes for long."""
+    """Whether the receiver repeated old fixes for long.
+
+    Parameters
+    ----------
+    gnss : Gnss
+        Of a recording.
+
+    Returns
+    -------
+    Reason or None
+        With the time that was lost, s; None where there was none.
+    """
     repeated = stale(gnss)
     if not repeated.any():
         return None
@@ -255,13 +313,35 @@ def frozen(gnss: Gnss) -> Reason | None:
 
 
 def late(speed_lag: float | None, course_lag: float | None) -> tuple[Reason, ...]:
-    """Whether the receiver is late, from lags that are known, s."""
+    """Whether the receiver is late, from lags that are known, s.
+
+    Parameters
+    ----------
+    speed_lag, course_lag : float or None
+        s; None where unknown.
+
+    Returns
+    -------
+    tuple of Reason
+        One or none.
+    """
     worst = max(speed_lag or 0.0, course_lag or 0.0)
     return (reason("gps_late", f"{worst:.1f}"),) if worst > LATE else ()
 
 
 def came_back(mountings: list[Floats]) -> tuple[Reason, ...]:
-    """Whether the last of the mountings of a drive is one that it had before, with another in between."""
+    """Whether the last of the mountings of a drive is one that it had before, with another in between.
+
+    Parameters
+    ----------
+    mountings : list of ndarray, shape (3, 3)
+        ``R_va`` of each, in order of time.
+
+    Returns
+    -------
+    tuple of Reason
+        One or none.
+    """
     return (reason("carried"),) if any(angle_between(R, mountings[-1]) < SAME for R in mountings[:-2]) else ()
 
 

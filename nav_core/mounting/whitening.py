@@ -64,7 +64,18 @@ class Evidence(NamedTuple):
     """Sum of log innovation variances, shape (blocks, k)."""
 
     def misfit(self, p: Floats) -> Floats:
-        """Sum of squared whitened innovations at `p`, shape (blocks, k)."""
+        """Sum of squared whitened innovations at `p`, shape (blocks, k).
+
+        Parameters
+        ----------
+        p : ndarray, shape (size of p,)
+            The unknowns.
+
+        Returns
+        -------
+        ndarray, shape (blocks, k)
+            Chi squares.
+        """
         e = np.concatenate([[1.0], p])
         return self.gram @ e @ e
 
@@ -211,7 +222,8 @@ def whiten(
     block : ndarray of int, shape (N,)
         Which stretch each step belongs to.
     blocks : int
-    p : ndarray
+        How many.
+    p : ndarray, shape (size of p,)
         Where all unknowns stand now; only the robust weights and the wrapping of angles use it.
     limit : float
         Innovations beyond this many sigmas are weighted down (Huber); infinite for none.
@@ -314,7 +326,26 @@ def echo(channel: Channel) -> Floats:
 
 
 def whiten_reference(channel: Channel, block: Integers, blocks: int, p: Floats, *, limit: float = np.inf) -> Evidence:
-    """What `whiten` computes, in plain array code."""
+    """What `whiten` computes, in plain array code.
+
+    Parameters
+    ----------
+    channel : Channel
+        The linear model of one plane, n fixes.
+    block : ndarray of int, shape (n,)
+        Stretch of each fix.
+    blocks : int
+        How many.
+    p : ndarray, shape (size of p,)
+        The unknowns.
+    limit : float
+        Sigmas beyond which an innovation is weighted down.
+
+    Returns
+    -------
+    Evidence
+        By stretch and kind.
+    """
     k, c = channel.Y.shape[1], channel.Y.shape[2]
     gram, number, log_det = np.zeros((blocks, k, c, c)), np.zeros((blocks, k)), np.zeros((blocks, k))
     state = np.zeros((channel.x0.size, c))

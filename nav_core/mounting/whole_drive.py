@@ -78,7 +78,22 @@ def estimate(ticks: Ticks, gnss: Gnss, *, noise: Noise | None = None) -> Mountin
 
 
 def analyse(ticks: Ticks, gnss: Gnss, *, noise: Noise | None = None) -> Analysis:
-    """`estimate`, with the fit that it rests on: what the trip has to say to later ones."""
+    """`estimate`, with the fit that it rests on: what the trip has to say to later ones.
+
+    Parameters
+    ----------
+    ticks : Ticks
+        Of the specific force, A-frame, m/s².
+    gnss : Gnss
+        Fixes of the drive.
+    noise : Noise, optional
+        What to expect; of ordinary cars, roads and receivers where not given.
+
+    Returns
+    -------
+    Analysis
+        The estimate, and the fit where there is one.
+    """
     noise = noise or Noise()
     fixes = usable_fixes(gnss)
     trouble = inspect(ticks, gnss, fixes)
@@ -138,7 +153,18 @@ def analyse(ticks: Ticks, gnss: Gnss, *, noise: Noise | None = None) -> Analysis
 
 
 def refused(why: Reason) -> MountingEstimate:
-    """No mounting, and why."""
+    """No mounting, and why.
+
+    Parameters
+    ----------
+    why : Reason
+        What is wrong with the data.
+
+    Returns
+    -------
+    MountingEstimate
+        `insufficient`.
+    """
     return _without(refusal(why))
 
 

@@ -87,6 +87,22 @@ def at_rest(t: Floats, f: Floats, w: Floats, reports: Reports) -> Floats:
 
     Calm sensors are needed, and no fix that says otherwise: on a smooth road they can be calm at any speed, which
     without fixes only the innovation gate of the filter notices.
+
+    Parameters
+    ----------
+    t : ndarray, shape (n,)
+        Box clock, s.
+    f : ndarray, shape (n, 3)
+        Specific force, m/s², any axes.
+    w : ndarray, shape (n, 3)
+        Angular rate, rad/s, any axes.
+    reports : Reports
+        What the receiver said.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        0 or 1.
     """
     width = int(np.clip(round(REST_WINDOW / float(np.median(np.diff(t)))), 2, t.size))
     # A gyro's own noise is no motion: what the calmest tenth of its samples shows is taken off.

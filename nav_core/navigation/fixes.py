@@ -64,7 +64,20 @@ class Receiver:
 
 
 def believable(gnss: Gnss, receiver: Receiver) -> Flags:
-    """Fixes that pass the gates of fix, repetition, geometry and satellites, shape (n,)."""
+    """Fixes that pass the gates of fix, repetition, geometry and satellites, shape (n,).
+
+    Parameters
+    ----------
+    gnss : Gnss
+        n fixes.
+    receiver : Receiver
+        Its gates.
+
+    Returns
+    -------
+    ndarray of bool, shape (n,)
+        A fix without `hdop` or `sats` is not judged by them.
+    """
     good = gnss.fix & np.isfinite(gnss.lat) & np.isfinite(gnss.lon) & ~stale(gnss)
     if gnss.hdop is not None:
         good &= ~(gnss.hdop > receiver.max_hdop)
@@ -122,6 +135,18 @@ def as_white(seen: Reports, receiver: Receiver) -> Floats:
 
     Noise with variance s² and correlation time T has the same effect over long times as white noise of variance
     ``s² 2 T / dt`` at fixes `dt` apart (the density of a Gauss-Markov process at zero frequency, 000 eq. 3.9.6).
+
+    Parameters
+    ----------
+    seen : Reports
+        n fixes with their noise, m² and (m/s)².
+    receiver : Receiver
+        Says the correlation time.
+
+    Returns
+    -------
+    ndarray, shape (n, 5)
+        m² and (m/s)², in the order of `Reports.noise`.
     """
     period = float(np.median(np.diff(seen.t))) if seen.t.size > 1 else np.inf
     alone, white = seen.noise[..., 0], seen.noise[..., 1]

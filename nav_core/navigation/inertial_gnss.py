@@ -80,7 +80,18 @@ class Vehicle:
                 raise RangeError(name, getattr(self, name), "> 0")
 
     def weights(self, receiver: Receiver) -> Weights:
-        """For the kernel, with the times over which slip (1 s), mounting (30 s) and rest (1 s) repeat themselves."""
+        """For the kernel, with the times over which slip (1 s), mounting (30 s) and rest (1 s) repeat themselves.
+
+        Parameters
+        ----------
+        receiver : Receiver
+            Says the correlation time of its errors.
+
+        Returns
+        -------
+        Weights
+            Variances and factors, SI units.
+        """
         epoch = 0.1
         return Weights(
             accel_walk=self.accel_walk**2,
@@ -233,7 +244,30 @@ def navigate(
 def prepare(
     drive: Drive, R_va: Floats, *, receiver: Receiver, vehicle: Vehicle, speed_lag: float, course_lag: float
 ) -> Record:
-    """Samples in V axes, their increments, the epochs and the start; raises as `navigate`."""
+    """Samples in V axes, their increments, the epochs and the start; raises as `navigate`.
+
+    Parameters
+    ----------
+    drive : Drive
+        With a gyro; A-frame.
+    R_va : ndarray, shape (3, 3)
+        From A to V.
+    receiver : Receiver
+        How good it is.
+    vehicle : Vehicle
+        What wheels and box allow.
+    speed_lag, course_lag : float
+        s.
+
+    Returns
+    -------
+    Record
+        Box clock, s; V axes.
+
+    Raises
+    ------
+    NoGyroError, NoFixError, ShapeError, TooLittleDataError
+    """
     R_va = trailing("R_va", R_va, 3, 3)
     if drive.inertial.w is None:
         raise NoGyroError(drive.inertial.t.size)
@@ -277,7 +311,32 @@ def _start(t: Floats, seen: Reports, vehicle: Vehicle) -> Start:
 
 
 def moved(places: Floats, v: Floats, C: Floats, slow: Floats, e: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-    """Put errors `e` (n, 20), truth minus estimate, into a whole track; what `kernels.apply` does at one epoch."""
+    """Put errors `e` (n, 20), truth minus estimate, into a whole track; what `kernels.apply` does at one epoch.
+
+    Parameters
+    ----------
+    places : ndarray, shape (n, 3)
+        Latitude, longitude, rad, and height, m.
+    v : ndarray, shape (n, 3)
+        T axes, m/s.
+    C : ndarray, shape (n, 3, 3)
+        From V to T.
+    slow : ndarray, shape (n, 11)
+        Biases and the receiver's errors.
+    e : ndarray, shape (n, 20)
+        Position, m, velocity, m/s, attitude, rad (T axes), biases and the receiver's errors.
+
+    Returns
+    -------
+    places : ndarray, shape (n, 3)
+        As given, corrected.
+    v : ndarray, shape (n, 3)
+        m/s.
+    C : ndarray, shape (n, 3, 3)
+        From V to T.
+    slow : ndarray, shape (n, 11)
+        Biases and the receiver's errors.
+    """
     meridian, normal = earth.radii(places[:, 0])
     shift = np.stack(
         (

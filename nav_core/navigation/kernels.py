@@ -85,6 +85,19 @@ def transition_of(force: Vector, C: Floats, T: float, keep: float, Phi: Floats) 
     `force` is the mean specific force in T axes, `C` (3, 3) the mean attitude, `keep` what is left of the receiver's
     errors after `T` s.  Terms of Earth rate, transport and the gravity gradient are left out: over the seconds between
     fixes they are a thousand times below the biases.
+
+    Parameters
+    ----------
+    force : tuple of 3 floats
+        m/s².
+    C : ndarray, shape (3, 3)
+        From V to T.
+    T : float
+        s.
+    keep : float
+        0 to 1.
+    Phi : ndarray, shape (20, 20)
+        Overwritten.
     """
     Phi[:] = 0.0
     for i in range(STATES):
@@ -108,7 +121,20 @@ def transition_of(force: Vector, C: Floats, T: float, keep: float, Phi: Floats) 
 
 @kernel
 def rotate_back(C: Floats, v: Vector) -> Vector:
-    """``C' v``."""
+    """``C' v``.
+
+    Parameters
+    ----------
+    C : ndarray, shape (3, 3)
+        From V to T.
+    v : tuple of 3 floats
+        T axes.
+
+    Returns
+    -------
+    tuple of 3 floats
+        V axes, in the unit of `v`.
+    """
     return (
         C[0, 0] * v[0] + C[1, 0] * v[1] + C[2, 0] * v[2],
         C[0, 1] * v[0] + C[1, 1] * v[1] + C[2, 1] * v[2],
@@ -134,6 +160,29 @@ def fix_rows(
     `late` (2,) is by how much position and speed, and course, are younger than the epoch, s; `noise` (5, 2) their
     variances, as a whole and of the white part.  Course counts as metres per second across the track.  The gate
     judges by the whole: another satellite may begin a new common error at any fix.
+
+    Parameters
+    ----------
+    place : ndarray, shape (3,)
+        Latitude, longitude, rad, and height, m.
+    v : ndarray, shape (3,)
+        T axes, m/s.
+    slow : ndarray, shape (11,)
+        Biases and the receiver's errors.
+    z : ndarray, shape (5,)
+        rad, rad, m, m/s, rad.
+    late : ndarray, shape (2,)
+        s.
+    noise : ndarray, shape (5, 2)
+        m² and (m/s)².
+    e : ndarray, shape (13,)
+        Measured less expected, m and m/s; overwritten.
+    H : ndarray, shape (13, 20)
+        Overwritten.
+    s : ndarray, shape (13,)
+        Variances for the gate; overwritten.
+    r : ndarray, shape (13,)
+        Variances for the update; overwritten.
     """
     along, across = curvatures(np.sin(place[0]), place[2])
     e[0] = (z[0] - place[0]) / along - v[0] * late[0]
@@ -159,7 +208,29 @@ def fix_rows(
 def slip_rows(
     v: Floats, C: Floats, spin: Vector, arm: Floats, weights: Weights, e: Floats, H: Floats, s: Floats, r: Floats
 ) -> None:
-    """Rows 5-6: a wheeled vehicle moves neither sideways nor up at its slip-free point, `arm` (3,) m from the box."""
+    """Rows 5-6: a wheeled vehicle moves neither sideways nor up at its slip-free point, `arm` (3,) m from the box.
+
+    Parameters
+    ----------
+    v : ndarray, shape (3,)
+        T axes, m/s.
+    C : ndarray, shape (3, 3)
+        From V to T.
+    spin : tuple of 3 floats
+        Angular rate, V axes, rad/s.
+    arm : ndarray, shape (3,)
+        V axes, m.
+    weights : Weights
+        Of `Vehicle.weights`.
+    e : ndarray, shape (13,)
+        m/s; overwritten.
+    H : ndarray, shape (13, 20)
+        Overwritten.
+    s : ndarray, shape (13,)
+        Variances for the gate; overwritten.
+    r : ndarray, shape (13,)
+        Variances for the update; overwritten.
+    """
     now = (v[0], v[1], v[2])
     body = rotate_back(C, now)
     swing = cross(spin, (arm[0], arm[1], arm[2]))
@@ -189,7 +260,29 @@ def rest_rows(
     s: Floats,
     r: Floats,
 ) -> None:
-    """Rows 7-12: at rest the velocity is zero, and what the gyro says beyond the Earth's turning is its bias."""
+    """Rows 7-12: at rest the velocity is zero, and what the gyro says beyond the Earth's turning is its bias.
+
+    Parameters
+    ----------
+    v : ndarray, shape (3,)
+        T axes, m/s.
+    spin : tuple of 3 floats
+        Angular rate less the estimated bias, V axes, rad/s.
+    T : float
+        s.
+    gyro_noise : float
+        (rad/s)²s.
+    weights : Weights
+        Of `Vehicle.weights`.
+    e : ndarray, shape (13,)
+        m/s and rad/s; overwritten.
+    H : ndarray, shape (13, 20)
+        Overwritten.
+    s : ndarray, shape (13,)
+        Variances for the gate; overwritten.
+    r : ndarray, shape (13,)
+        Variances for the update; overwritten.
+    """
     for i in range(3):
         e[7 + i] = -v[i]
         H[7 + i, 3 + i] = 1.0
@@ -201,7 +294,21 @@ def rest_rows(
 
 @kernel
 def apply(place: Floats, v: Floats, C: Floats, slow: Floats, dx: Floats) -> None:
-    """Put an error estimate into position, velocity, attitude, biases and receiver's errors."""
+    """Put an error estimate into position, velocity, attitude, biases and receiver's errors.
+
+    Parameters
+    ----------
+    place : ndarray, shape (3,)
+        Latitude, longitude, rad, and height, m; overwritten.
+    v : ndarray, shape (3,)
+        T axes, m/s; overwritten.
+    C : ndarray, shape (3, 3)
+        From V to T; overwritten.
+    slow : ndarray, shape (11,)
+        Biases and the receiver's errors; overwritten.
+    dx : ndarray, shape (20,)
+        Position, m, velocity, m/s, attitude, rad (T axes), biases and the receiver's errors.
+    """
     along, across = curvatures(np.sin(place[0]), place[2])
     place[1] += dx[1] * across / np.cos(place[0])
     place[0] += dx[0] * along
@@ -234,6 +341,38 @@ def advance(
 
     `density` (2,) holds the white noise of specific force and rate, (m/s²)²s and (rad/s)²s; `half` (20, 20) is zero
     off its diagonal.  Half of the noise enters at the start and half at the end: third order in the period.
+
+    Parameters
+    ----------
+    place : ndarray, shape (3,)
+        Latitude, longitude, rad, and height, m; overwritten.
+    v : ndarray, shape (3,)
+        T axes, m/s; overwritten.
+    C : ndarray, shape (3, 3)
+        From V to T; overwritten.
+    slow : ndarray, shape (11,)
+        Biases and the receiver's errors; the latter fade.
+    P : ndarray, shape (20, 20)
+        Overwritten.
+    rotation, velocity : ndarray, shape (k, 3)
+        Increments of the steps, V axes, rad and m/s.
+    periods : ndarray, shape (k,)
+        Of the steps, s.
+    density : ndarray, shape (2,)
+        Of specific force and rate.
+    weights : Weights
+        Of `Vehicle.weights`.
+    Phi : ndarray, shape (20, 20)
+        Overwritten.
+    half : ndarray, shape (20, 20)
+        Overwritten on its diagonal.
+
+    Returns
+    -------
+    force : tuple of 3 floats
+        T axes, m/s².
+    rate : tuple of 3 floats
+        V axes, rad/s.
     """
     turned, pushed = np.empty(3), np.empty(3)
     fx, fy, fz, wx, wy, wz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -270,6 +409,26 @@ def speeds_up(force: Vector, Phi: Floats, P: Floats, T: float, noise: float, wei
     """Whether the horizontal specific force is more than tilt, biases and rest explain: the vehicle is not at rest.
 
     Calm sensors alone do not tell rest from smooth braking at walking pace.  `noise` is the density of the force.
+
+    Parameters
+    ----------
+    force : tuple of 3 floats
+        Mean specific force, T axes, m/s².
+    Phi : ndarray, shape (20, 20)
+        Of the time between the epochs.
+    P : ndarray, shape (20, 20)
+        Covariance of the errors.
+    T : float
+        s.
+    noise : float
+        (m/s²)²s.
+    weights : Weights
+        Of `Vehicle.weights`.
+
+    Returns
+    -------
+    bool
+        Whether it is on either axis.
     """
     for i in range(2):
         variance = noise / T + weights.rest_push**2
@@ -283,7 +442,21 @@ def speeds_up(force: Vector, Phi: Floats, P: Floats, T: float, noise: float, wei
 
 @kernel
 def strike(P: Floats, e: Floats, H: Floats, s: Floats, gate: float) -> None:
-    """Strike out residuals beyond the gate, each judged alone and before any update."""
+    """Strike out residuals beyond the gate, each judged alone and before any update.
+
+    Parameters
+    ----------
+    P : ndarray, shape (n, n)
+        Covariance of the errors.
+    e : ndarray, shape (m,)
+        NaN where not measured; what is struck out becomes NaN.
+    H : ndarray, shape (m, n)
+        Measurement rows.
+    s : ndarray, shape (m,)
+        Variances of the noise.
+    gate : float
+        On the squared normalised residual.
+    """
     for i in range(e.size):
         if np.isnan(e[i]):
             continue
@@ -298,6 +471,26 @@ def strike_fix(P: Floats, e: Floats, H: Floats, s: Floats, weights: Weights, sin
 
     A position with one bad coordinate is bad as a whole.  When nothing else came for long, it is the filter that has
     lost its way: then the position counts, and `P` grows by what it says.
+
+    Parameters
+    ----------
+    P : ndarray, shape (20, 20)
+        Overwritten where the filter relents.
+    e : ndarray, shape (5,)
+        m and m/s; what is struck out becomes NaN.
+    H : ndarray, shape (5, 20)
+        Measurement rows.
+    s : ndarray, shape (5,)
+        Variances for the gate.
+    weights : Weights
+        Of `Vehicle.weights`.
+    since : float
+        s.
+
+    Returns
+    -------
+    bool
+        Whether the position was out of the gate.
     """
     seen = (e[0], e[1], e[2])
     strike(P, e, H, s, weights.gate)
@@ -348,8 +541,16 @@ def run(
         1 where the vehicle seems to stand; becomes 0 where it speeds up or brakes nevertheless.
     density : ndarray, shape (m, 2)
         Of the interval before each epoch; see `advance`.
-    arm, weights
-        See `slip_rows`, `Weights`.
+    arm : ndarray, shape (3,)
+        See `slip_rows`.
+    weights : Weights
+        See there.
+    place, v : ndarray, shape (3,)
+        Latitude, longitude, rad, and height, m; T axes, m/s.
+    C : ndarray, shape (3, 3)
+        From V to T.
+    P : ndarray, shape (20, 20)
+        Covariance of the errors.
 
     Returns
     -------

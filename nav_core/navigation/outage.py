@@ -22,12 +22,40 @@ SHORTEST = 3.0
 
 
 def outages(gnss: Gnss, receiver: Receiver | None = None, *, shortest: float = SHORTEST) -> tuple[Gap, ...]:
-    """Stretches between two believable fixes that are further apart than `shortest`, s."""
+    """Stretches between two believable fixes that are further apart than `shortest`, s.
+
+    Parameters
+    ----------
+    gnss : Gnss
+        Of a recording.
+    receiver : Receiver, optional
+        Its gates; the default's where not given.
+    shortest : float
+        s.
+
+    Returns
+    -------
+    tuple of Gap
+        Box clock, s.
+    """
     return gaps(gnss.t[believable(gnss, receiver or Receiver())], shortest)
 
 
 def hidden(gnss: Gnss, begin: float, end: float) -> Gnss:
-    """The same fixes with none from `begin` to `end`, s: an outage to rehearse where the truth is known after all."""
+    """The same fixes with none from `begin` to `end`, s: an outage to rehearse where the truth is known after all.
+
+    Parameters
+    ----------
+    gnss : Gnss
+        Of a recording.
+    begin, end : float
+        Box clock, s; `end` is not included.
+
+    Returns
+    -------
+    Gnss
+        `fix` false in between.
+    """
     return replace(gnss, fix=gnss.fix & ~((gnss.t >= begin) & (gnss.t < end)))
 
 
@@ -86,12 +114,38 @@ def miss(solution: Solution, t: Floats, lat: Floats, lon: Floats) -> Miss:
 
 
 def inside(found: Miss, probability: float = 0.95) -> Flags:
-    """Which errors lie within the solution's own horizontal ellipse of this probability, shape (k,)."""
+    """Which errors lie within the solution's own horizontal ellipse of this probability, shape (k,).
+
+    Parameters
+    ----------
+    found : Miss
+        k errors with their covariances.
+    probability : float
+        Between 0 and 1.
+
+    Returns
+    -------
+    ndarray of bool, shape (k,)
+        In order.
+    """
     return normalised(found.error, found.P) <= _bound(probability)
 
 
 def radius(solution: Solution, probability: float = 0.95) -> Floats:
-    """Long half axis of the horizontal ellipse of this probability at each moment, m, shape (n,)."""
+    """Long half axis of the horizontal ellipse of this probability at each moment, m, shape (n,).
+
+    Parameters
+    ----------
+    solution : Solution
+        n epochs.
+    probability : float
+        Between 0 and 1.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        m.
+    """
     return np.sqrt(_bound(probability) * np.linalg.eigvalsh(solution.P[:, :2, :2])[:, 1])
 
 

@@ -22,6 +22,26 @@ def run_reference(record: Record) -> tuple[Floats, Floats, Floats, Floats, Float
     """Places (m, 3), velocities, attitudes, slow states (m, 11), covariances (m, 20, 20), corrections (m, 20).
 
     000 eqs. 3.6.21-3.6.25 and 3.11.24 on the error states; `record` as for `kernels.run`, whose docstrings hold.
+
+    Parameters
+    ----------
+    record : Record
+        Of `inertial_gnss.prepare`.
+
+    Returns
+    -------
+    places : ndarray, shape (m, 3)
+        Latitude, longitude, rad, and height, m.
+    v : ndarray, shape (m, 3)
+        T axes, m/s.
+    C : ndarray, shape (m, 3, 3)
+        From V to T.
+    slow : ndarray, shape (m, 11)
+        Biases and the receiver's errors.
+    P : ndarray, shape (m, 20, 20)
+        Covariance of the errors.
+    dx : ndarray, shape (m, 20)
+        What each update put into the track.
     """
     start, epochs, weights = record.start, record.epochs, record.weights
     place, v, attitude, covariance, slow = start.place, start.v, start.C, start.P, np.zeros(SLOW)

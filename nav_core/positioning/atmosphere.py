@@ -45,6 +45,18 @@ def ionosphere_free(first: Floats, second: Floats, f1: float = L1, f2: float = L
 def ionospheric_advance(first: Floats, second: Floats, f1: float = L1, f2: float = L2) -> Floats:
     """What to add to the first range to free it of the ionosphere: minus its delay, m (from 5.8.2).
 
+    Parameters
+    ----------
+    first, second : ndarray, shape (...)
+        Ranges at the two frequencies, m.
+    f1, f2 : float
+        Hz.
+
+    Returns
+    -------
+    ndarray, shape (...)
+        m.
+
     Raises
     ------
     RangeError
@@ -55,7 +67,18 @@ def ionospheric_advance(first: Floats, second: Floats, f1: float = L1, f2: float
 
 
 def ionosphere_free_gain(f1: float = L1, f2: float = L2) -> float:
-    """By how much `ionosphere_free` enlarges independent equal noise of both ranges: about 3 for L1 and L2."""
+    """By how much `ionosphere_free` enlarges independent equal noise of both ranges: about 3 for L1 and L2.
+
+    Parameters
+    ----------
+    f1, f2 : float
+        Hz.
+
+    Returns
+    -------
+    float
+        Factor on the 1-sigma of either.
+    """
     return float(np.hypot(f1**2, f2**2) / abs(f1**2 - f2**2))
 
 

@@ -50,6 +50,16 @@ IONOSPHERE_HEIGHT, IONOSPHERE_EARTH = 350e3, 6_378_136.3
 def range_error(terms: Mapping[str, float]) -> float:
     """1-sigma of a range out of independent errors, m: the root of the sum of their squares.
 
+    Parameters
+    ----------
+    terms : Mapping[str, float]
+        1-sigma of each, m.
+
+    Returns
+    -------
+    float
+        m.
+
     Notes
     -----
     000 tables 5.1 and 5.2 print ``sqrt(sum / n)`` and give the sum without ``/ n``: 45 m.  The right column of table
@@ -59,7 +69,18 @@ def range_error(terms: Mapping[str, float]) -> float:
 
 
 def obliquity(elevation: Floats) -> Floats:
-    """Slant over vertical delay of the ionosphere, the shape of `elevation` (rad; RTCA DO-229 A.4.4.10.4)."""
+    """Slant over vertical delay of the ionosphere, the shape of `elevation` (rad; RTCA DO-229 A.4.4.10.4).
+
+    Parameters
+    ----------
+    elevation : ndarray, shape (...)
+        rad.
+
+    Returns
+    -------
+    ndarray, shape (...)
+        1 at the zenith.
+    """
     ratio = IONOSPHERE_EARTH * np.cos(elevation) / (IONOSPHERE_EARTH + IONOSPHERE_HEIGHT)
     return 1.0 / np.sqrt(1.0 - ratio**2)
 

@@ -17,7 +17,18 @@ from nav_core.typing import Flags, Floats, Integers
 
 
 def single_difference(base: Floats, rover: Floats) -> Floats:
-    """Rover less base, any equal shapes: free of the satellite's clock and initial phase (5.6.2, 5.7.10)."""
+    """Rover less base, any equal shapes: free of the satellite's clock and initial phase (5.6.2, 5.7.10).
+
+    Parameters
+    ----------
+    base, rover : ndarray, shape (...)
+        Ranges or phases of the same satellites and epochs, m or cycles.
+
+    Returns
+    -------
+    ndarray, shape (...)
+        In that unit.
+    """
     return rover - base
 
 
@@ -45,7 +56,18 @@ def double_difference(single: Floats, reference: int) -> Floats:
 
 
 def triple_difference(double: Floats) -> Floats:
-    """Changes of double differences (k, m) from epoch to epoch: free of ambiguities (5.7.14), shape (k - 1, m)."""
+    """Changes of double differences (k, m) from epoch to epoch: free of ambiguities (5.7.14), shape (k - 1, m).
+
+    Parameters
+    ----------
+    double : ndarray, shape (k, m)
+        m or cycles.
+
+    Returns
+    -------
+    ndarray, shape (k - 1, m)
+        In that unit.
+    """
     return np.diff(double, axis=0)
 
 
@@ -190,7 +212,22 @@ def find_slips(
 
 
 def repaired(double: Floats, slips: Slips, wavelength: float) -> Floats:
-    """Double differences (k, m) with the slips taken off from their epochs on."""
+    """Double differences (k, m) with the slips taken off from their epochs on.
+
+    Parameters
+    ----------
+    double : ndarray, shape (k, m)
+        m.
+    slips : Slips
+        Of `find_slips`.
+    wavelength : float
+        m.
+
+    Returns
+    -------
+    ndarray, shape (k, m)
+        m.
+    """
     fixed = double.copy()
     for epoch, pair, cycles in zip(slips.epoch, slips.pair, slips.cycles, strict=True):
         fixed[epoch:, pair] -= cycles * wavelength

@@ -116,7 +116,18 @@ def elevation_azimuth(satellites: Floats, receiver: Floats) -> tuple[Floats, Flo
 
 
 def local_axes(r_e: Floats) -> Floats:
-    """``R_et`` at a position: columns north, east, down, shape (3, 3)."""
+    """``R_et`` at a position: columns north, east, down, shape (3, 3).
+
+    Parameters
+    ----------
+    r_e : ndarray, shape (3,)
+        m.
+
+    Returns
+    -------
+    ndarray, shape (3, 3)
+        From T to e.
+    """
     lat, lon, _ = ecef_to_geodetic(r_e)
     return tangent_axes(lat, lon)
 
@@ -149,6 +160,13 @@ def at_reception(satellites: Floats, pseudoranges: Floats) -> Floats:
 def design(satellites: Floats, receiver: Floats) -> tuple[Floats, Floats]:
     """Expected ranges without clock, and the design matrix of 000 eq. 5.5.10 in local axes.
 
+    Parameters
+    ----------
+    satellites : ndarray, shape (n, 3)
+        e axes, m.
+    receiver : ndarray, shape (3,)
+        e axes, m.
+
     Returns
     -------
     ranges : ndarray, shape (n,)
@@ -161,6 +179,16 @@ def design(satellites: Floats, receiver: Floats) -> tuple[Floats, Floats]:
 
 def inverse(normal: Floats) -> Floats:
     """Inverse of a normal matrix (n, n).
+
+    Parameters
+    ----------
+    normal : ndarray, shape (n, n)
+        Symmetric.
+
+    Returns
+    -------
+    ndarray, shape (n, n)
+        In one over its units.
 
     Raises
     ------

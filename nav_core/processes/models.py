@@ -43,7 +43,18 @@ class Process:
         return self.G @ self.Q @ self.G.T
 
     def discrete(self, dt: float) -> Discrete:
-        """Over a step of `dt` s, exactly (Van Loan)."""
+        """Over a step of `dt` s, exactly (Van Loan).
+
+        Parameters
+        ----------
+        dt : float
+            s.
+
+        Returns
+        -------
+        Discrete
+            Transition and noise of the step.
+        """
         return van_loan(self.F, self.diffusion, dt)
 
 
@@ -78,17 +89,50 @@ def integrators(order: int, density: float) -> Process:
 
 
 def random_walk(density: float) -> Process:
-    """White noise summed up (000 eq. 3.9.3): one state whose variance grows by `density` every second."""
+    """White noise summed up (000 eq. 3.9.3): one state whose variance grows by `density` every second.
+
+    Parameters
+    ----------
+    density : float
+        Of the white noise, (unit of the state)²/s.
+
+    Returns
+    -------
+    Process
+        One state.
+    """
     return integrators(1, density)
 
 
 def position_velocity(density: float) -> Process:
-    """PV model: white acceleration of `density` (m/s²)²s (003)."""
+    """PV model: white acceleration of `density` (m/s²)²s (003).
+
+    Parameters
+    ----------
+    density : float
+        Of the acceleration.
+
+    Returns
+    -------
+    Process
+        States m, m/s.
+    """
     return integrators(2, density)
 
 
 def position_velocity_acceleration(density: float) -> Process:
-    """PVA model: white jerk of `density` (m/s³)²s (003)."""
+    """PVA model: white jerk of `density` (m/s³)²s (003).
+
+    Parameters
+    ----------
+    density : float
+        Of the jerk.
+
+    Returns
+    -------
+    Process
+        States m, m/s, m/s².
+    """
     return integrators(3, density)
 
 
@@ -102,6 +146,11 @@ def gauss_markov(sigma: float, tau: float) -> Process:
     tau : float
         Correlation time, s.
 
+    Returns
+    -------
+    Process
+        One state, in the unit of `sigma`.
+
     Raises
     ------
     RangeError
@@ -111,7 +160,26 @@ def gauss_markov(sigma: float, tau: float) -> Process:
 
 
 def gauss_markov_covariance(sigma: float, tau: float, lag: Floats) -> Floats:
-    """Autocovariance ``sigma² exp(-abs(lag) / tau)`` of `gauss_markov` (000 eq. 3.9.6), the shape of `lag` (s)."""
+    """Autocovariance ``sigma² exp(-abs(lag) / tau)`` of `gauss_markov` (000 eq. 3.9.6), the shape of `lag` (s).
+
+    Parameters
+    ----------
+    sigma : float
+        1-sigma, in any unit.
+    tau : float
+        s, more than 0.
+    lag : ndarray, shape (...)
+        s.
+
+    Returns
+    -------
+    ndarray, shape (...)
+        In the square of that unit.
+
+    Raises
+    ------
+    RangeError
+    """
     return sigma**2 * np.exp(-np.abs(lag) / _positive("tau", tau))
 
 
@@ -144,13 +212,38 @@ def spring(mass: float, damping: float, stiffness: float, density: float = 1.0) 
 
 
 def position_velocity_discrete(density: float, dt: float) -> Discrete:
-    """`position_velocity` over `dt` s in closed form (003; 000 eq. 3.6.28)."""
+    """`position_velocity` over `dt` s in closed form (003; 000 eq. 3.6.28).
+
+    Parameters
+    ----------
+    density : float
+        (m/s²)²s.
+    dt : float
+        s.
+
+    Returns
+    -------
+    Discrete
+        Shapes (2, 2).
+    """
     Phi = np.array([[1.0, dt], [0.0, 1.0]])
     return Discrete(Phi, density * np.array([[dt**3 / 3.0, dt**2 / 2.0], [dt**2 / 2.0, dt]]))
 
 
 def position_velocity_acceleration_discrete(density: float, dt: float) -> Discrete:
     """`position_velocity_acceleration` over `dt` s in closed form.
+
+    Parameters
+    ----------
+    density : float
+        (m/s³)²s.
+    dt : float
+        s.
+
+    Returns
+    -------
+    Discrete
+        Shapes (3, 3).
 
     Notes
     -----
@@ -169,6 +262,20 @@ def position_velocity_acceleration_discrete(density: float, dt: float) -> Discre
 
 def gauss_markov_discrete(sigma: float, tau: float, dt: float) -> Discrete:
     """`gauss_markov` over `dt` s in closed form (000 eqs. 3.9.4, 3.9.5).
+
+    Parameters
+    ----------
+    sigma : float
+        1-sigma, in any unit.
+    tau : float
+        s, more than 0.
+    dt : float
+        s.
+
+    Returns
+    -------
+    Discrete
+        Shapes (1, 1).
 
     Raises
     ------

@@ -30,14 +30,40 @@ class Discrete(NamedTuple):
 
 
 def order_of(F: Floats) -> int:
-    """Number of states: n of an (n, n) matrix."""
+    """Number of states: n of an (n, n) matrix.
+
+    Parameters
+    ----------
+    F : ndarray, shape (n, n)
+        Dynamics, 1/s.
+
+    Returns
+    -------
+    int
+        n.
+
+    Raises
+    ------
+    ShapeError
+    """
     if F.ndim != 2 or F.shape[0] != F.shape[1]:
         raise ShapeError("F", F.shape, "(n, n)")
     return F.shape[0]
 
 
 def exponential(A: Floats) -> Floats:
-    """Matrix exponential, shape of `A` (..., n, n)."""
+    """Matrix exponential, shape of `A` (..., n, n).
+
+    Parameters
+    ----------
+    A : ndarray, shape (..., n, n)
+        Without unit.
+
+    Returns
+    -------
+    ndarray, shape (..., n, n)
+        ``exp(A)``, by scipy.
+    """
     return np.asarray(expm(A), dtype=np.float64)
 
 
@@ -73,6 +99,18 @@ def transition_series(F: Floats, dt: float, order: int) -> Floats:
 
 def transition(F: Floats, dt: float) -> Floats:
     """Transition matrix of constant dynamics, ``exp(F dt)`` (000 eqs. 3.6.12, 3.6.29), shape (n, n).
+
+    Parameters
+    ----------
+    F : ndarray, shape (n, n)
+        Dynamics, 1/s.
+    dt : float
+        s.
+
+    Returns
+    -------
+    ndarray, shape (n, n)
+        From the start of the step to its end.
 
     Raises
     ------
@@ -191,7 +229,20 @@ def van_loan(F: Floats, diffusion: Floats, dt: float) -> Discrete:
 
 
 def first_order_noise(diffusion: Floats, dt: float) -> Floats:
-    """``G Q G' dt``: the discrete noise of a step short against the dynamics (000 eq. 3.6.31), shape (n, n)."""
+    """``G Q G' dt``: the discrete noise of a step short against the dynamics (000 eq. 3.6.31), shape (n, n).
+
+    Parameters
+    ----------
+    diffusion : ndarray, shape (n, n)
+        ``G Q G'``, covariance per s.
+    dt : float
+        s.
+
+    Returns
+    -------
+    ndarray, shape (n, n)
+        Covariance.
+    """
     return diffusion * dt
 
 

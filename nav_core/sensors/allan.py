@@ -125,5 +125,18 @@ def _square_sum(theta: Floats, m: int) -> float:
 
 
 def square_sum_reference(theta: Floats, m: int) -> float:
-    """What the kernel sums, in plain array code."""
+    """What the kernel sums, in plain array code.
+
+    Parameters
+    ----------
+    theta : ndarray, shape (n,)
+        Integrated readings, in any unit.
+    m : int
+        Samples per cluster.
+
+    Returns
+    -------
+    float
+        In the square of that unit.
+    """
     return float(np.sum((theta[2 * m :] - 2.0 * theta[m:-m] + theta[: -2 * m]) ** 2))

@@ -75,13 +75,35 @@ class Calibration:
         return np.sqrt(np.einsum("n...,n...->...", self.residuals, self.residuals) / len(self.residuals))
 
     def interval(self, level: float = 0.95) -> Floats:
-        """Interval of each parameter, shape (k, 2): Student's t, or normal where the noise was given."""
+        """Interval of each parameter, shape (k, 2): Student's t, or normal where the noise was given.
+
+        Parameters
+        ----------
+        level : float
+            Probability, between 0 and 1.
+
+        Returns
+        -------
+        ndarray, shape (k, 2)
+            In the units of `values`.
+        """
         tail = 0.5 + 0.5 * level
         reach = ndtri(tail) if self.freedom is None else stdtrit(self.freedom, tail)
         return np.stack((self.values - reach * self.sigma, self.values + reach * self.sigma), axis=1)
 
     def correct(self, readings: Floats) -> Floats:
-        """Truth from readings, shape (..., 3): ``gain^-1 (reading - bias)`` (000 eq. 6.2.11, 002 eq. 6.7)."""
+        """Truth from readings, shape (..., 3): ``gain^-1 (reading - bias)`` (000 eq. 6.2.11, 002 eq. 6.7).
+
+        Parameters
+        ----------
+        readings : ndarray, shape (..., 3)
+            In the sensor's unit and axes.
+
+        Returns
+        -------
+        ndarray, shape (..., 3)
+            In the reference's unit, body axes.
+        """
         return (np.asarray(readings, dtype=np.float64) - self.bias) @ np.linalg.inv(self.gain).T
 
     @property
@@ -140,7 +162,24 @@ def levenberg_marquardt(model: Callable[[Floats], tuple[Floats, Floats]], x: Flo
 
 
 def check_readings(name: str, readings: Floats) -> Floats:
-    """Readings as floats, shape (n, 3), finite; else `ShapeError` or `NotFiniteError`."""
+    """Readings as floats, shape (n, 3), finite; else `ShapeError` or `NotFiniteError`.
+
+    Parameters
+    ----------
+    name : str
+        What they are, for the error.
+    readings : ndarray, shape (n, 3)
+        In any unit.
+
+    Returns
+    -------
+    ndarray, shape (n, 3)
+        The same numbers.
+
+    Raises
+    ------
+    ShapeError, NotFiniteError
+    """
     values = np.asarray(readings, dtype=np.float64)
     if values.ndim != 2 or values.shape[1] != 3:
         raise ShapeError(name, values.shape, "(n, 3)")
@@ -151,7 +190,19 @@ def check_readings(name: str, readings: Floats) -> Floats:
 
 
 def check_spread(readings: Floats, needed: int) -> None:
-    """Refuse readings that are too few, or that lie in a plane: the box was only turned about one axis."""
+    """Refuse readings that are too few, or that lie in a plane: the box was only turned about one axis.
+
+    Parameters
+    ----------
+    readings : ndarray, shape (n, 3)
+        One row per pose, in any unit.
+    needed : int
+        Least number of poses.
+
+    Raises
+    ------
+    PosesError
+    """
     if len(readings) < needed:
         raise PosesError(f"{needed} are needed", len(readings), np.inf)
     width = np.linalg.svd(readings - readings.mean(axis=0), compute_uv=False)
@@ -181,6 +232,14 @@ def solution_covariance(
         (the listing of 000 leaves out the division, which makes its variances n - k times too large).
     count : int
         Poses, for the message.
+
+    Returns
+    -------
+    covariance : ndarray, shape (k, k)
+    redundancy : int or None
+        n - k; None where `noise` was given.
+    condition : float
+        Largest over smallest singular value of `J`.
 
     Raises
     ------

@@ -72,11 +72,38 @@ class Compensation:
 
         The thesis adds the filter's state, whose sign is opposite to the sensor's bias (docs/equations.md); here the
         bias itself is given, and taken off.
+
+        Parameters
+        ----------
+        t : float
+            s.
+        bias_error : ndarray, shape (3,)
+            Sensor's bias that is left, body axes, in the sensor's unit.
+
+        Returns
+        -------
+        Compensation
+            `self` while feedback is held back.
+
+        Raises
+        ------
+        ShapeError
         """
         if t < self.held_until:
             return self
         return replace(self, feedback=self.feedback + trailing("bias_error", bias_error, 3))
 
     def reset(self, t: float) -> Compensation:
-        """After the attitude was reset at time `t`, s: its jump would be taken for a bias, so feedback waits."""
+        """After the attitude was reset at time `t`, s: its jump would be taken for a bias, so feedback waits.
+
+        Parameters
+        ----------
+        t : float
+            s.
+
+        Returns
+        -------
+        Compensation
+            Without feedback until `t` plus `hold`.
+        """
         return replace(self, held_until=t + self.hold)

@@ -40,13 +40,35 @@ class NoiseCoefficients(NamedTuple):
     Q: float = 0.0
 
     def allan_deviation(self, tau: Floats | float) -> Floats:
-        """Allan deviation that this noise has at the cluster times `tau`, s (002 eqs. 5.8-5.12)."""
+        """Allan deviation that this noise has at the cluster times `tau`, s (002 eqs. 5.8-5.12).
+
+        Parameters
+        ----------
+        tau : ndarray or float, shape (...)
+            s.
+
+        Returns
+        -------
+        ndarray, shape (...)
+            In the unit of the readings.
+        """
         tau = np.asarray(tau, dtype=np.float64)
         white, flicker = self.N**2 / tau, (BIAS_PLATEAU * self.B) ** 2
         return np.sqrt(white + flicker + self.K**2 * tau / 3.0 + 3.0 * (self.Q / tau) ** 2)
 
     def scaled(self, factor: float) -> NoiseCoefficients:
-        """The same noise in another unit, all coefficients times `factor`."""
+        """The same noise in another unit, all coefficients times `factor`.
+
+        Parameters
+        ----------
+        factor : float
+            New unit per old one.
+
+        Returns
+        -------
+        NoiseCoefficients
+            In the new unit.
+        """
         return NoiseCoefficients(*(factor * value for value in self))
 
 

@@ -165,7 +165,18 @@ class TurnOnBias:
     count: int
 
     def in_body(self, matrix: Floats) -> Floats:
-        """The bias through a calibration's ``gain^-1``, rad/s, shape (3,) (002 eq. 6.18)."""
+        """The bias through a calibration's ``gain^-1``, rad/s, shape (3,) (002 eq. 6.18).
+
+        Parameters
+        ----------
+        matrix : ndarray, shape (3, 3)
+            ``gain^-1``; further columns are not used.
+
+        Returns
+        -------
+        ndarray, shape (3,)
+            rad/s, body axes.
+        """
         return np.asarray(matrix, dtype=np.float64)[:, :3] @ self.bias
 
 

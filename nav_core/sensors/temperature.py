@@ -45,12 +45,34 @@ class TemperatureFit:
         return self.offset - REFERENCE_TEMPERATURE * self.slope
 
     def interval(self, level: float = 0.95) -> Floats:
-        """Intervals of the slopes, shape (3, 2)."""
+        """Intervals of the slopes, shape (3, 2).
+
+        Parameters
+        ----------
+        level : float
+            Probability, between 0 and 1.
+
+        Returns
+        -------
+        ndarray, shape (3, 2)
+            Sensor's unit per °C.
+        """
         reach = stdtrit(len(self.residuals) - 2, 0.5 + 0.5 * level) * np.sqrt(self.covariance[:, 1, 1])
         return np.stack((self.slope - reach, self.slope + reach), axis=1)
 
     def bias(self, temp: Floats | float) -> Floats:
-        """Bias at these temperatures, °C, shape (..., 3)."""
+        """Bias at these temperatures, °C, shape (..., 3).
+
+        Parameters
+        ----------
+        temp : ndarray or float, shape (...)
+            °C.
+
+        Returns
+        -------
+        ndarray, shape (..., 3)
+            In the sensor's unit.
+        """
         return self.offset + (np.asarray(temp, dtype=np.float64)[..., None] - REFERENCE_TEMPERATURE) * self.slope
 
 

@@ -55,7 +55,18 @@ class Outcome:
         return float("nan") if speed is None else KMH * (speed.value - self.truth.speed)
 
     def covers(self, name: str) -> bool | None:
-        """Whether the interval of `delta_v`, `pdof` or `speed` holds the truth; None without one."""
+        """Whether the interval of `delta_v`, `pdof` or `speed` holds the truth; None without one.
+
+        Parameters
+        ----------
+        name : str
+            Which of the three.
+
+        Returns
+        -------
+        bool or None
+            None also of a crash that was not found.
+        """
         event, truth = self.event, self.truth
         if event is None or event.delta_v is None:
             return None
@@ -82,10 +93,16 @@ def crash(seed: int, *, gyro: bool = False, yaw_rate: float = 0.0) -> Outcome:
     Parameters
     ----------
     seed : int
+        Of everything drawn.
     gyro : bool
         The box has one.
     yaw_rate : float
         Largest change of turn rate by the blow, rad/s.
+
+    Returns
+    -------
+    Outcome
+        Truth and event side by side, m/s and rad.
     """
     rng = np.random.default_rng((563, seed))
     full_scale = float(rng.choice([8.0, 11.0, 16.0]))
@@ -130,7 +147,20 @@ class Hours:
 
 
 def ordinary(seed: int, *, minutes: float = 30.0) -> Hours:
-    """Half an hour of driving with potholes, kerbs, doors, drops and braking to 1 g, and no crash."""
+    """Half an hour of driving with potholes, kerbs, doors, drops and braking to 1 g, and no crash.
+
+    Parameters
+    ----------
+    seed : int
+        Of everything drawn.
+    minutes : float
+        Of driving.
+
+    Returns
+    -------
+    Hours
+        Hours driven, shocks by name, and what was found.
+    """
     rng = np.random.default_rng((1317, seed))
     full_scale = float(rng.choice([8.0, 11.0, 16.0])) * STANDARD_GRAVITY
     scenario = Scenario(

@@ -101,7 +101,18 @@ def day(trips: Sequence[Scenario], *, seed: int, pause: float = 600.0, warmth: W
 
 
 def before_start(turn: Floats) -> Move:
-    """A move made while the vehicle is parked before the trip that has it among its moves."""
+    """A move made while the vehicle is parked before the trip that has it among its moves.
+
+    Parameters
+    ----------
+    turn : ndarray, shape (3,)
+        Rotation vector, rad, A-frame.
+
+    Returns
+    -------
+    Move
+        At a moment before the trip.
+    """
     x, y, z = np.asarray(turn, dtype=np.float64).tolist()
     return Move(t=-1.0, turn=(x, y, z))
 

@@ -87,6 +87,16 @@ def random_rotation(rng: np.random.Generator) -> Floats:
     """A rotation matrix drawn uniformly over all rotations, shape (3, 3).
 
     A quaternion of four independent normals points uniformly over the sphere (Shoemake 1992).
+
+    Parameters
+    ----------
+    rng : Generator
+        Advanced.
+
+    Returns
+    -------
+    ndarray, shape (3, 3)
+        Determinant 1.
     """
     return Rotation.from_quat(rng.standard_normal(4)).as_matrix()
 

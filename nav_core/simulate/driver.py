@@ -77,6 +77,17 @@ def drive_along(
     The driver keeps to the caps of the road under him and a second ahead, stops where the route
     says so, limits his jerk, and never takes quite the speed he is allowed.
 
+    Parameters
+    ----------
+    route : Route
+        Caps of speed, m/s, over distance, m.
+    impact : Impact or None
+        The first; None without.
+    start, end : float
+        Box clock, s.
+    rng : Generator
+        Advanced.
+
     Returns
     -------
     speed : Spline

@@ -275,7 +275,22 @@ def clock_jumped(drive: Drive, at: float, by: float) -> Drive:
 
 
 def utc_jumped(drive: Drive, at: float, by: float) -> Drive:
-    """The receiver's UTC jumps by so many seconds at a box time."""
+    """The receiver's UTC jumps by so many seconds at a box time.
+
+    Parameters
+    ----------
+    drive : Drive
+        Not changed.
+    at : float
+        Box clock, s.
+    by : float
+        s.
+
+    Returns
+    -------
+    Drive
+        The same but for `utc`.
+    """
     gnss = drive.gnss
     utc = np.full(gnss.t.size, np.nan) if gnss.utc is None else gnss.utc
     return replace(drive, gnss=replace(gnss, utc=np.where(gnss.t < at, utc, utc + by)))

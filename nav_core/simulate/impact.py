@@ -69,6 +69,20 @@ class Shock:
         """Integral, value and rate of what friction leaves of a speed: 1 until the pulse ends, then down to 0.
 
         The integral counts from the end of the pulse, s.
+
+        Parameters
+        ----------
+        t : ndarray, shape (n,)
+            Box clock, s.
+
+        Returns
+        -------
+        travel : ndarray, shape (n,)
+            s.
+        value : ndarray, shape (n,)
+            0 to 1.
+        rate : ndarray, shape (n,)
+            1/s.
         """
         x = np.clip((t - self.t0 - self.duration) / self.slide, 0.0, 1.0)
         travel = self.slide * (0.5 * x + np.sin(np.pi * x) / (2.0 * np.pi))
@@ -77,7 +91,18 @@ class Shock:
 
 
 def slide_time(speed: float) -> float:
-    """Time in which friction brings a vehicle of this speed, m/s, to rest, s."""
+    """Time in which friction brings a vehicle of this speed, m/s, to rest, s.
+
+    Parameters
+    ----------
+    speed : float
+        m/s.
+
+    Returns
+    -------
+    float
+        s; never 0.
+    """
     return max(_SHORTEST_SLIDE, 0.5 * np.pi * speed / SLIDE_DECELERATION)
 
 

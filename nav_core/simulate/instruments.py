@@ -28,13 +28,41 @@ class Biases:
 
 
 def draw_biases(scenario: Scenario, rng: np.random.Generator) -> Biases:
-    """Draw the biases of one box."""
+    """Draw the biases of one box.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Says the 1-sigmas.
+    rng : Generator
+        Advanced.
+
+    Returns
+    -------
+    Biases
+        m/s² and rad/s, A-frame.
+    """
     accel, drift, gyro = rng.standard_normal((3, 3))
     return Biases(scenario.accel_bias * accel, scenario.accel_bias_drift * drift, scenario.gyro_bias * gyro)
 
 
 def sampling_times(scenario: Scenario, rng: np.random.Generator) -> tuple[Floats, Floats]:
-    """Moments of inertial sampling and the stamps they get, box clock, s; both increase."""
+    """Moments of inertial sampling and the stamps they get, box clock, s; both increase.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Says rate, duration and jitters.
+    rng : Generator
+        Advanced.
+
+    Returns
+    -------
+    t : ndarray, shape (n,)
+        s.
+    stamps : ndarray, shape (n,)
+        s.
+    """
     period = 1.0 / scenario.accel_rate
     count = max(int(np.ceil(scenario.duration * scenario.accel_rate - 1e-9)), 1)
     regular = np.arange(count, dtype=np.float64) * period
@@ -47,7 +75,24 @@ def sampling_times(scenario: Scenario, rng: np.random.Generator) -> tuple[Floats
 
 
 def vibration(t: Floats, v: Floats, scenario: Scenario, rng: np.random.Generator) -> Floats:
-    """Vibration of the box at these moments, V axes, m/s², shape (n, 3), for speeds `v`, m/s."""
+    """Vibration of the box at these moments, V axes, m/s², shape (n, 3), for speeds `v`, m/s.
+
+    Parameters
+    ----------
+    t : ndarray, shape (n,)
+        s.
+    v : ndarray, shape (n,)
+        m/s.
+    scenario : Scenario
+        Says how strong it is.
+    rng : Generator
+        Advanced.
+
+    Returns
+    -------
+    ndarray, shape (n, 3)
+        m/s².
+    """
     growth = np.minimum(np.abs(v) / scenario.vibration_speed, 1.0)
     high = scenario.vibration_idle + (scenario.vibration - scenario.vibration_idle) * growth
     low = scenario.vibration_low * growth
@@ -74,7 +119,26 @@ def _band(low: float, high: float, duration: float, rng: np.random.Generator) ->
 
 
 def sense_force(f_a: Floats, t: Floats, biases: Biases, scenario: Scenario, rng: np.random.Generator) -> Floats:
-    """What the accelerometer says of the specific force `f_a`, m/s², shape (n, 3): clipping comes last."""
+    """What the accelerometer says of the specific force `f_a`, m/s², shape (n, 3): clipping comes last.
+
+    Parameters
+    ----------
+    f_a : ndarray, shape (n, 3)
+        A-frame, m/s².
+    t : ndarray, shape (n,)
+        s.
+    biases : Biases
+        m/s².
+    scenario : Scenario
+        Says noise, resolution and full scale.
+    rng : Generator
+        Advanced.
+
+    Returns
+    -------
+    ndarray, shape (n, 3)
+        A-frame, m/s².
+    """
     read = f_a + biases.accel + np.outer(t / scenario.duration, biases.accel_drift)
     read += scenario.accel_noise * rng.standard_normal(f_a.shape)
     if scenario.accel_resolution > 0.0:
@@ -83,13 +147,45 @@ def sense_force(f_a: Floats, t: Floats, biases: Biases, scenario: Scenario, rng:
 
 
 def sense_rate(w_a: Floats, biases: Biases, scenario: Scenario, rng: np.random.Generator) -> Floats:
-    """What the gyro says of the angular rate `w_a`, rad/s, shape (n, 3)."""
+    """What the gyro says of the angular rate `w_a`, rad/s, shape (n, 3).
+
+    Parameters
+    ----------
+    w_a : ndarray, shape (n, 3)
+        A-frame, rad/s.
+    biases : Biases
+        rad/s.
+    scenario : Scenario
+        Says noise and full scale.
+    rng : Generator
+        Advanced.
+
+    Returns
+    -------
+    ndarray, shape (n, 3)
+        A-frame, rad/s.
+    """
     read = w_a + biases.gyro + scenario.gyro_noise * rng.standard_normal(w_a.shape)
     return np.clip(read, -scenario.gyro_full_scale, scenario.gyro_full_scale)
 
 
 def draw_lags(scenario: Scenario, rng: np.random.Generator) -> tuple[float, float]:
-    """Lags of speed and course, s."""
+    """Lags of speed and course, s.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Gives them, or up to where they are drawn.
+    rng : Generator
+        Advanced.
+
+    Returns
+    -------
+    speed : float
+        s.
+    course : float
+        s.
+    """
     speed, course = rng.uniform(0.0, scenario.max_drawn_lag, 2)
     return (
         float(speed) if scenario.speed_lag is None else scenario.speed_lag,
@@ -98,7 +194,24 @@ def draw_lags(scenario: Scenario, rng: np.random.Generator) -> tuple[float, floa
 
 
 def receive(vehicle: Vehicle, scenario: Scenario, lags: tuple[float, float], rng: np.random.Generator) -> Gnss:
-    """The fixes of a drive, stamped when the box gets them."""
+    """The fixes of a drive, stamped when the box gets them.
+
+    Parameters
+    ----------
+    vehicle : Vehicle
+        What moves.
+    scenario : Scenario
+        Says rate, noise and outages of the receiver.
+    lags : tuple of float
+        Of speed and course, s.
+    rng : Generator
+        Advanced.
+
+    Returns
+    -------
+    Gnss
+        Box clock, s; rad, m and m/s.
+    """
     t = _arrivals(scenario, rng)
     at, course_at = t - lags[0], t - lags[1]
     noise = _Noise(t.size, scenario, rng)

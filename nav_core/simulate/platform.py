@@ -227,7 +227,18 @@ def measure(truth: Turning, instruments: Instruments, rng: np.random.Generator) 
 
 
 def encoder_attitude(q_nb: Floats) -> Floats:
-    """Attitude by encoders of roll, pitch and yaw: the angles rounded to `ENCODER_STEP`, shape (..., 4)."""
+    """Attitude by encoders of roll, pitch and yaw: the angles rounded to `ENCODER_STEP`, shape (..., 4).
+
+    Parameters
+    ----------
+    q_nb : ndarray, shape (..., 4)
+        From b to n, order (x, y, z, w).
+
+    Returns
+    -------
+    ndarray, shape (..., 4)
+        From b to n.
+    """
     angles = ENCODER_STEP * np.round(quaternion_to_euler(q_nb) / ENCODER_STEP)
     return euler_to_quaternion(*np.moveaxis(angles, -1, 0))
 

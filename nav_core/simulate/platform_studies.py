@@ -54,38 +54,127 @@ class Weights:
 
 
 def common(axes: Sequence[NoiseCoefficients]) -> GyroNoise:
-    """Root mean square over the axes of N and K: the filter of 002 has one for all (7.18)."""
+    """Root mean square over the axes of N and K: the filter of 002 has one for all (7.18).
+
+    Parameters
+    ----------
+    axes : sequence of NoiseCoefficients
+        Of the gyro, rad/s.
+
+    Returns
+    -------
+    GyroNoise
+        rad/s based.
+    """
     return GyroNoise(*(float(np.sqrt(np.mean([getattr(axis, name) ** 2 for axis in axes]))) for name in ("N", "K")))
 
 
 def white_sigma(axes: Sequence[NoiseCoefficients], rate: float) -> float:
-    """Root mean square over the axes of the 1-sigma of a sample's white noise at `rate`, Hz (002 eq. 5.10)."""
+    """Root mean square over the axes of the 1-sigma of a sample's white noise at `rate`, Hz (002 eq. 5.10).
+
+    Parameters
+    ----------
+    axes : sequence of NoiseCoefficients
+        Of one sensor, in any unit.
+    rate : float
+        Hz.
+
+    Returns
+    -------
+    float
+        In that unit.
+    """
     return common(axes).N * float(np.sqrt(rate))
 
 
 def quaternion_errors(truth: Floats, estimated: Floats) -> Floats:
-    """Vector part of ``conj(truth) estimated`` with its scalar positive, shape (n, 3): half the error about b."""
+    """Vector part of ``conj(truth) estimated`` with its scalar positive, shape (n, 3): half the error about b.
+
+    Parameters
+    ----------
+    truth, estimated : ndarray, shape (n, 4)
+        From b to n.
+
+    Returns
+    -------
+    ndarray, shape (n, 3)
+        rad, halved, b axes.
+    """
     error = product(conjugate(truth), estimated)
     return error[..., :3] * np.where(error[..., 3:] < 0.0, -1.0, 1.0)
 
 
 def euler_errors(truth: Floats, estimated: Floats) -> Floats:
-    """Errors of roll, pitch and yaw of quaternions, shape (n, 3), rad."""
+    """Errors of roll, pitch and yaw of quaternions, shape (n, 3), rad.
+
+    Parameters
+    ----------
+    truth, estimated : ndarray, shape (n, 4)
+        From b to n.
+
+    Returns
+    -------
+    ndarray, shape (n, 3)
+        rad.
+    """
     return wrap(quaternion_to_euler(estimated) - quaternion_to_euler(truth))
 
 
 def rms(errors: Floats, rate: float, *, after: float = SETTLING) -> Floats:
-    """Root mean square of each column, without the first `after` s."""
+    """Root mean square of each column, without the first `after` s.
+
+    Parameters
+    ----------
+    errors : ndarray, shape (n, k)
+        In any unit.
+    rate : float
+        Hz.
+    after : float
+        s.
+
+    Returns
+    -------
+    ndarray, shape (k,)
+        In that unit.
+    """
     return np.sqrt(np.mean(errors[round(after * rate) :] ** 2, axis=0))
 
 
 def space(readings: Readings) -> StarTracker:
-    """The star tracker's readings as the filter takes them."""
+    """The star tracker's readings as the filter takes them.
+
+    Parameters
+    ----------
+    readings : Readings
+        Of a simulated test.
+
+    Returns
+    -------
+    StarTracker
+        With the sigma of the encoders, rad.
+    """
     return StarTracker(readings.star, ENCODER_SIGMA)
 
 
 def terrestrial(readings: Readings, instruments: Instruments, rate: float, *, weight: float = 1.0) -> list[Direction]:
-    """Accelerometer and magnetometer as the filter takes them; `weight` is the factor k on the latter's sigma."""
+    """Accelerometer and magnetometer as the filter takes them; `weight` is the factor k on the latter's sigma.
+
+    Parameters
+    ----------
+    readings : Readings
+        Of a simulated test.
+    instruments : Instruments
+        Say the noise.
+    rate : float
+        Of the filter, Hz.
+    weight : float
+        k of 002 §9.2.2.
+
+    Returns
+    -------
+    list of Direction
+        Gravity's reaction and the field, n axes, with their 1-sigma.
+    """
     return [
         Direction(GRAVITY_REACTION, readings.f, white_sigma(instruments.accelerometer, rate)),
         Direction(PADUA_FIELD, readings.m, weight * white_sigma(instruments.magnetometer, rate)),
@@ -246,11 +335,47 @@ def _position(q: Floats, f: Floats, gravity: Floats, rate: float) -> Floats:
 def run_terrestrial(
     start: Start, readings: Readings, instruments: Instruments, rate: float, *, weight: float = 1.0
 ) -> Estimates:
-    """The terrestrial scenario: accelerometer and magnetometer at every step."""
+    """The terrestrial scenario: accelerometer and magnetometer at every step.
+
+    Parameters
+    ----------
+    start : Start
+        Of the filter.
+    readings : Readings
+        Of a simulated test.
+    instruments : Instruments
+        Say the noise.
+    rate : float
+        Of the filter, Hz.
+    weight : float
+        k of 002 §9.2.2.
+
+    Returns
+    -------
+    Estimates
+        One row per step.
+    """
     seen = terrestrial(readings, instruments, rate, weight=weight)
     return estimate(start, mean_rates(readings.w), 1.0 / rate, common(instruments.gyro), directions=seen)
 
 
 def run_space(start: Start, readings: Readings, instruments: Instruments, rate: float) -> Estimates:
-    """The space scenario: a star tracker now and then."""
+    """The space scenario: a star tracker now and then.
+
+    Parameters
+    ----------
+    start : Start
+        Of the filter.
+    readings : Readings
+        Of a simulated test.
+    instruments : Instruments
+        Say the noise.
+    rate : float
+        Of the filter, Hz.
+
+    Returns
+    -------
+    Estimates
+        One row per step.
+    """
     return estimate(start, mean_rates(readings.w), 1.0 / rate, common(instruments.gyro), tracker=space(readings))

@@ -119,7 +119,20 @@ class _Layout:
 
 
 def lay_out(scenario: Scenario, rng: np.random.Generator) -> Route:
-    """Draw a route of the scenario's kind, long enough for its duration."""
+    """Draw a route of the scenario's kind, long enough for its duration.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Says route, duration and impacts.
+    rng : Generator
+        Advanced.
+
+    Returns
+    -------
+    Route
+        Curvature, 1/m, and caps of speed, m/s, by cells of the way.
+    """
     layout = _Layout()
     needed = _TOP_SPEED[scenario.route] * (scenario.duration + 30.0) + 200.0
     for impact in scenario.impacts:
@@ -227,13 +240,39 @@ def _reachable(limit: Floats, brake: Floats) -> Floats:
 
 
 def over_distance(values: Floats) -> Spline:
-    """Spline over distance, m from the start, of one control value per cell, with straight road before and after."""
+    """Spline over distance, m from the start, of one control value per cell, with straight road before and after.
+
+    Parameters
+    ----------
+    values : ndarray, shape (n,)
+        One per cell of `CELL` m, in any unit.
+
+    Returns
+    -------
+    Spline
+        Over m, in that unit.
+    """
     lead = np.zeros(int(LEAD / CELL))
     return Spline(-LEAD + 1.5 * CELL, CELL, np.concatenate((lead, values, lead)))
 
 
 def draw_slope(grade: float, length: float, rng: np.random.Generator) -> Spline:
-    """Slope angle over distance, rad: waves of 400 m to 4 km whose 1 sigma is `grade`."""
+    """Slope angle over distance, rad: waves of 400 m to 4 km whose 1 sigma is `grade`.
+
+    Parameters
+    ----------
+    grade : float
+        As a tangent.
+    length : float
+        Of the way, m.
+    rng : Generator
+        Advanced.
+
+    Returns
+    -------
+    Spline
+        rad over m, uphill positive.
+    """
     at = np.arange(-LEAD, length + LEAD, _SLOPE_KNOT)
     waves = 12
     number = 2.0 * np.pi / np.geomspace(400.0, 4000.0, waves)
@@ -242,7 +281,24 @@ def draw_slope(grade: float, length: float, rng: np.random.Generator) -> Spline:
 
 
 def draw_bank(sigma: float, correlation: float, crown: float, length: float, rng: np.random.Generator) -> Spline:
-    """Bank over distance, rad: `crown` plus a first-order process of 1 sigma `sigma`, smooth below 8 m."""
+    """Bank over distance, rad: `crown` plus a first-order process of 1 sigma `sigma`, smooth below 8 m.
+
+    Parameters
+    ----------
+    sigma, crown : float
+        rad.
+    correlation : float
+        m.
+    length : float
+        Of the way, m.
+    rng : Generator
+        Advanced.
+
+    Returns
+    -------
+    Spline
+        rad over m, right side down positive.
+    """
     count = int((length + 2.0 * LEAD) / _BANK_KNOT) + 4
     keep = np.exp(-_BANK_KNOT / correlation)
     drive = rng.standard_normal(count) * np.sqrt(1.0 - keep**2)

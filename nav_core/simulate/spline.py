@@ -47,7 +47,22 @@ class Spline:
         return self.start + self.step * (np.arange(self.coefficients.size, dtype=np.float64) - MARGIN)
 
     def jet(self, x: Floats) -> tuple[Floats, Floats, Floats]:
-        """Value, first and second derivative at `x`, each of the shape of `x`."""
+        """Value, first and second derivative at `x`, each of the shape of `x`.
+
+        Parameters
+        ----------
+        x : ndarray, shape (n,)
+            In the unit of `step`.
+
+        Returns
+        -------
+        value : ndarray, shape (n,)
+            In the unit of the coefficients.
+        first : ndarray, shape (n,)
+            Per unit of `x`.
+        second : ndarray, shape (n,)
+            Per unit of `x` squared.
+        """
         cell, u = self._locate(x)
         c0, c1, c2, c3 = (self.coefficients[cell + k] for k in range(4))
         # Power basis of the cell: value = p0 + p1 u + p2 u² + p3 u³.
@@ -61,11 +76,33 @@ class Spline:
         return value, first, second
 
     def value(self, x: Floats) -> Floats:
-        """Value at `x`, of the shape of `x`."""
+        """Value at `x`, of the shape of `x`.
+
+        Parameters
+        ----------
+        x : ndarray, shape (n,)
+            In the unit of `step`.
+
+        Returns
+        -------
+        ndarray, shape (n,)
+            In the unit of the coefficients.
+        """
         return self.jet(x)[0]
 
     def integral(self, x: Floats) -> Floats:
-        """Integral from `start` to `x`, of the shape of `x`."""
+        """Integral from `start` to `x`, of the shape of `x`.
+
+        Parameters
+        ----------
+        x : ndarray, shape (n,)
+            In the unit of `step`.
+
+        Returns
+        -------
+        ndarray, shape (n,)
+            Unit of the coefficients times that of `x`.
+        """
         cell, u = self._locate(x)
         c = self.coefficients
         whole = (c[:-3] + 11.0 * (c[1:-2] + c[2:-1]) + c[3:]) / 24.0

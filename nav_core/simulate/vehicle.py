@@ -55,7 +55,18 @@ class Motion:
     w: Floats
 
     def specific_force(self, gravity: float) -> Floats:
-        """Specific force at the box, V axes, m/s², shape (n, 3): ``R_tv^T (a_t - g_t)``."""
+        """Specific force at the box, V axes, m/s², shape (n, 3): ``R_tv^T (a_t - g_t)``.
+
+        Parameters
+        ----------
+        gravity : float
+            m/s².
+
+        Returns
+        -------
+        ndarray, shape (n, 3)
+            V axes, m/s².
+        """
         less_gravity = self.acceleration - np.array([0.0, 0.0, gravity])
         return np.einsum("nij,ni->nj", self.R_tv, less_gravity)
 
@@ -93,7 +104,18 @@ class Vehicle:
     shocks: tuple[Shock, ...] = ()
 
     def along(self, t: Floats) -> Jet:
-        """Distance along the road, m, forward speed, m/s, and its rate, m/s²; each of shape (n,)."""
+        """Distance along the road, m, forward speed, m/s, and its rate, m/s²; each of shape (n,).
+
+        Parameters
+        ----------
+        t : ndarray, shape (n,)
+            Box clock, s.
+
+        Returns
+        -------
+        Jet
+            m, m/s and m/s², each of shape (n,).
+        """
         s = self.speed.integral(t)
         v, a, _ = self.speed.jet(t)
         if self.shocks:
@@ -108,7 +130,18 @@ class Vehicle:
         return s, v, a
 
     def at(self, t: Floats) -> Motion:
-        """The motion at these moments, box clock, s, shape (n,)."""
+        """The motion at these moments, box clock, s, shape (n,).
+
+        Parameters
+        ----------
+        t : ndarray, shape (n,)
+            Box clock, s.
+
+        Returns
+        -------
+        Motion
+            rad, m/s, m/s², rad/s.
+        """
         s, v, a = self.along(t)
         k, k_s, _ = self.curvature.jet(s)
         heading = (self.course + self.curvature.integral(s), k * v, k_s * v**2 + k * a)
@@ -132,7 +165,18 @@ class Vehicle:
         return Motion(v, a, slope[0], bank[0], spun[0], pitch[0], roll[0], seen, velocity, acceleration, rates)
 
     def position(self, t: Floats) -> Floats:
-        """Position of the box, T from where the centre started, m, shape (n, 3)."""
+        """Position of the box, T from where the centre started, m, shape (n, 3).
+
+        Parameters
+        ----------
+        t : ndarray, shape (n,)
+            Box clock, s.
+
+        Returns
+        -------
+        ndarray, shape (n, 3)
+            T axes, m.
+        """
         nodes = np.arange(START, max(float(t.max(initial=START)), START) + 2.0 * _PATH_STEP, _PATH_STEP)
         # Two-point Gauss-Legendre per interval: the path has no closed form once it bends.
         inner = 0.5 * _PATH_STEP * (1.0 + np.array([-1.0, 1.0]) / np.sqrt(3.0))
@@ -150,7 +194,18 @@ class Vehicle:
         return position
 
     def struck(self, impact: Impact) -> Vehicle:
-        """The same vehicle, hit in addition."""
+        """The same vehicle, hit in addition.
+
+        Parameters
+        ----------
+        impact : Impact
+            Delta-V, m/s, and direction, rad.
+
+        Returns
+        -------
+        Vehicle
+            With one more shock.
+        """
         at = np.array([impact.t])
         # Adding zero makes 0.0 of -0.0, whose direction is ahead and not behind.
         forward = float(-impact.delta_v * np.cos(impact.pdof)) + 0.0
@@ -176,7 +231,20 @@ class Vehicle:
 
 
 def build(scenario: Scenario, rng: np.random.Generator) -> Vehicle:
-    """Draw the road and the driver of a scenario."""
+    """Draw the road and the driver of a scenario.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        What is simulated.
+    rng : Generator
+        Advanced.
+
+    Returns
+    -------
+    Vehicle
+        From `START` to the scenario's end.
+    """
     route = lay_out(scenario, rng)
     first = scenario.impacts[0] if scenario.impacts else None
     speed, straight_from = drive_along(route, first, START, scenario.duration + _AFTER_END, rng)

@@ -111,7 +111,28 @@ def from_integrals(t: Floats, angle: Floats, thrust: Floats, *, per_interval: in
 
 @kernel
 def gather(angle: Floats, thrust: Floats, per_interval: int) -> tuple[Floats, Floats, Floats, Floats]:
-    """Sums of readings (n, 3) over intervals, and their coning (rad) and sculling (m/s), each (n / per_interval, 3)."""
+    """Sums of readings (n, 3) over intervals, and their coning (rad) and sculling (m/s), each (n / per_interval, 3).
+
+    Parameters
+    ----------
+    angle : ndarray, shape (n, 3)
+        Integrated rates between readings, rad, b axes.
+    thrust : ndarray, shape (n, 3)
+        Integrated specific force, m/s, b axes.
+    per_interval : int
+        Readings per interval.
+
+    Returns
+    -------
+    angle : ndarray, shape (m, 3)
+        rad.
+    thrust : ndarray, shape (m, 3)
+        m/s.
+    coning : ndarray, shape (m, 3)
+        rad.
+    sculling : ndarray, shape (m, 3)
+        m/s.
+    """
     count = angle.shape[0] // per_interval
     angles, thrusts = np.zeros((count, 3)), np.zeros((count, 3))
     coning, sculling = np.zeros((count, 3)), np.zeros((count, 3))

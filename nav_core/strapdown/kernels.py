@@ -29,6 +29,20 @@ def resolved(C: Floats, velocity: Floats, frame: Vector) -> Vector:
     """A velocity change of the body in the axes of a frame that turns by `frame`, rad, meanwhile.
 
     ``(I - [frame]x / 2) C velocity``: in the mean over the step the frame has turned by half.
+
+    Parameters
+    ----------
+    C : ndarray, shape (3, 3)
+        From b to the frame, at the start of the step.
+    velocity : ndarray, shape (3,)
+        b axes, m/s.
+    frame : tuple of 3 floats
+        Frame axes, rad.
+
+    Returns
+    -------
+    tuple of 3 floats
+        Frame axes, m/s.
     """
     x, y, z = velocity[0], velocity[1], velocity[2]
     change = (
@@ -41,7 +55,22 @@ def resolved(C: Floats, velocity: Floats, frame: Vector) -> Vector:
 
 @kernel
 def curvatures(sin_lat: float, height: float) -> tuple[float, float]:
-    """One over the radii of curvature along and across the meridian at a height, 1/m (as `earth.radii`)."""
+    """One over the radii of curvature along and across the meridian at a height, 1/m (as `earth.radii`).
+
+    Parameters
+    ----------
+    sin_lat : float
+        Sine of the geodetic latitude.
+    height : float
+        m.
+
+    Returns
+    -------
+    along : float
+        1/m.
+    across : float
+        1/m.
+    """
     bulge = 1.0 - ECCENTRICITY2 * sin_lat * sin_lat
     normal = earth.SEMI_MAJOR / np.sqrt(bulge)
     return 1.0 / (normal * (1.0 - ECCENTRICITY2) / bulge + height), 1.0 / (normal + height)
@@ -49,7 +78,22 @@ def curvatures(sin_lat: float, height: float) -> tuple[float, float]:
 
 @kernel
 def transport_of(along: float, across: float, tan_lat: float, v: Vector) -> Vector:
-    """Transport rate in T axes, rad/s (000 eq. 2.5.23), at curvatures `along` and `across` the meridian."""
+    """Transport rate in T axes, rad/s (000 eq. 2.5.23), at curvatures `along` and `across` the meridian.
+
+    Parameters
+    ----------
+    along, across : float
+        1/m.
+    tan_lat : float
+        Tangent of the geodetic latitude.
+    v : tuple of 3 floats
+        T axes, m/s.
+
+    Returns
+    -------
+    tuple of 3 floats
+        T axes, rad/s.
+    """
     return v[1] * across, -v[0] * along, -v[1] * across * tan_lat
 
 
@@ -58,6 +102,26 @@ def gained(C: Floats, velocity: Floats, spin: Vector, transport: Vector, v: Vect
     """Change of the velocity `v` over a step in T or w: 000 eqs. 2.5.19 and 2.5.24, integrated.
 
     `velocity` is that of the body, `down` gravity, m/s²; the rates are those of the middle of the step.
+
+    Parameters
+    ----------
+    C : ndarray, shape (3, 3)
+        From b to the frame, at the start of the step.
+    velocity : ndarray, shape (3,)
+        Velocity change of the body, b axes, m/s.
+    spin, transport : tuple of 3 floats
+        Rate of the Earth, and of the frame against it, frame axes, rad/s.
+    v : tuple of 3 floats
+        Frame axes, m/s.
+    down : float
+        m/s².
+    T : float
+        s.
+
+    Returns
+    -------
+    tuple of 3 floats
+        Frame axes, m/s.
     """
     change = resolved(C, velocity, total((T * spin[0], T * spin[1], T * spin[2]), T, transport))
     change = total(change, -T, cross(total(transport, 2.0, spin), v))
@@ -69,6 +133,23 @@ def step_local(place: Floats, v: Floats, C: Floats, rotation: Floats, velocity: 
     """Advance in T (000 §2.5.3).
 
     `place` is latitude, longitude (rad) and height (m); `v` (3,) north, east, down, m/s; `C` (3, 3) turns b into T.
+
+    Parameters
+    ----------
+    place : ndarray, shape (3,)
+        Overwritten.
+    v : ndarray, shape (3,)
+        Overwritten.
+    C : ndarray, shape (3, 3)
+        Overwritten.
+    rotation : ndarray, shape (3,)
+        Of the body over the step, b axes, rad.
+    velocity : ndarray, shape (3,)
+        Its velocity change, b axes, m/s.
+    T : float
+        s.
+    hold : bool
+        Whether the height is held.
     """
     now = (v[0], v[1], v[2])
     free = 0.0 if hold else 1.0
@@ -101,6 +182,23 @@ def step_up(place: Floats, v: Floats, C: Floats, rotation: Floats, velocity: Flo
 
     The axes are left-handed and `C`, from the right-handed b, has the determinant -1: cross products with
     rates change sign, which is what working in the mirror image does.
+
+    Parameters
+    ----------
+    place : ndarray, shape (3,)
+        Latitude, longitude, rad, and height, m; overwritten.
+    v : ndarray, shape (3,)
+        North, east, up, m/s; overwritten.
+    C : ndarray, shape (3, 3)
+        From b to north, east, up; overwritten.
+    rotation : ndarray, shape (3,)
+        Of the body over the step, b axes, rad.
+    velocity : ndarray, shape (3,)
+        Its velocity change, b axes, m/s.
+    T : float
+        s.
+    hold : bool
+        Whether the height is held.
     """
     v[2] = -v[2]
     for j in range(3):
@@ -118,6 +216,20 @@ def wander_transport(axis: Vector, height: float, v: Vector) -> Vector:
     `axis` is the Earth's axis in w axes: ``cos(lat)`` times north in its first two components, ``-sin(lat)`` in the
     third.  The curvatures along and across the meridian differ by a term in ``cos(lat)²``, so that `axis` itself, and
     not the direction of north, says where they lie: no pole is singular.
+
+    Parameters
+    ----------
+    axis : tuple of 3 floats
+        Without unit.
+    height : float
+        m.
+    v : tuple of 3 floats
+        w axes, m/s.
+
+    Returns
+    -------
+    tuple of 3 floats
+        rad/s.
     """
     along, across = curvatures(axis[2], height)
     bulge = 1.0 - ECCENTRICITY2 * axis[2] * axis[2]
@@ -133,6 +245,30 @@ def step_wander(
     """Advance in wander azimuth (000 §2.5.4); returns the new height, m.
 
     `R_ew` (3, 3) turns w into e, `v` (3,) is in w axes (z down), m/s, `C` (3, 3) turns b into w.
+
+    Parameters
+    ----------
+    R_ew : ndarray, shape (3, 3)
+        Overwritten.
+    height : float
+        m.
+    v : ndarray, shape (3,)
+        Overwritten.
+    C : ndarray, shape (3, 3)
+        Overwritten.
+    rotation : ndarray, shape (3,)
+        Of the body over the step, b axes, rad.
+    velocity : ndarray, shape (3,)
+        Its velocity change, b axes, m/s.
+    T : float
+        s.
+    hold : bool
+        Whether the height is held.
+
+    Returns
+    -------
+    float
+        m.
     """
     now = (v[0], v[1], v[2])
     free = 0.0 if hold else 1.0
@@ -160,7 +296,18 @@ def step_wander(
 
 @kernel
 def pull(x: float, y: float, z: float) -> Vector:
-    """Gravity at a position in e or i, m (both have z through the pole), in the same axes, m/s²."""
+    """Gravity at a position in e or i, m (both have z through the pole), in the same axes, m/s².
+
+    Parameters
+    ----------
+    x, y, z : float
+        m.
+
+    Returns
+    -------
+    tuple of 3 floats
+        m/s².
+    """
     p = np.hypot(x, y)
     sin_lat, cos_lat, height = meridian_of(p, z)
     g = float(gravity_at(sin_lat * sin_lat, height))
@@ -170,7 +317,17 @@ def pull(x: float, y: float, z: float) -> Vector:
 
 @kernel
 def settle(r: Floats, v: Floats, height: float) -> None:
-    """Put a position in e or i back to `height`, m, and take the vertical part off its velocity."""
+    """Put a position in e or i back to `height`, m, and take the vertical part off its velocity.
+
+    Parameters
+    ----------
+    r : ndarray, shape (3,)
+        m; overwritten.
+    v : ndarray, shape (3,)
+        Against the Earth, m/s; overwritten.
+    height : float
+        Above the ellipsoid, m.
+    """
     p = np.hypot(r[0], r[1])
     sin_lat, cos_lat, now = meridian_of(p, r[2])
     outward = cos_lat / p if p > 0.0 else 0.0
@@ -188,6 +345,23 @@ def step_cartesian(
 
     `r` (3,) m; `v` (3,) the velocity against the Earth, m/s; `C` (3, 3) turns b into the frame.  With the Earth rate W
     and the frame's F, ``v' = f - (W + F) x v + g`` (2.5.13, 2.5.9) and ``r' = v + (W - F) x r`` (2.5.1).
+
+    Parameters
+    ----------
+    r : ndarray, shape (3,)
+        Overwritten.
+    v : ndarray, shape (3,)
+        Overwritten.
+    C : ndarray, shape (3, 3)
+        Overwritten.
+    rotation : ndarray, shape (3,)
+        Of the body over the step, b axes, rad.
+    velocity : ndarray, shape (3,)
+        Its velocity change, b axes, m/s.
+    T : float
+        s.
+    frame_rate : float
+        About z, rad/s.
     """
     frame, both, drag = (0.0, 0.0, T * frame_rate), (0.0, 0.0, RATE + frame_rate), (0.0, 0.0, RATE - frame_rate)
     now, place = (v[0], v[1], v[2]), (r[0], r[1], r[2])
@@ -212,7 +386,36 @@ def run_local(
     hold: bool,
     up: bool,
 ) -> tuple[Floats, Floats, Floats]:
-    """Places (n + 1, 3), velocities (n + 1, 3) and attitudes (n + 1, 3, 3) of `step_local` or, with `up`, `step_up`."""
+    """Places (n + 1, 3), velocities (n + 1, 3) and attitudes (n + 1, 3, 3) of `step_local` or, with `up`, `step_up`.
+
+    Parameters
+    ----------
+    place : ndarray, shape (3,)
+        Latitude, longitude, rad, and height, m, at the start.
+    v : ndarray, shape (3,)
+        T axes, m/s.
+    C : ndarray, shape (3, 3)
+        From b to T.
+    rotation : ndarray, shape (n, 3)
+        Of the body over each step, b axes, rad.
+    velocity : ndarray, shape (n, 3)
+        Its velocity changes, b axes, m/s.
+    periods : ndarray, shape (n,)
+        s.
+    hold : bool
+        Whether the height is held.
+    up : bool
+        Whether the third axis of T points up.
+
+    Returns
+    -------
+    places : ndarray, shape (n + 1, 3)
+        rad, rad, m.
+    velocities : ndarray, shape (n + 1, 3)
+        m/s.
+    attitudes : ndarray, shape (n + 1, 3, 3)
+        From b to T.
+    """
     n = periods.size
     places, speeds, attitudes = np.empty((n + 1, 3)), np.empty((n + 1, 3)), np.empty((n + 1, 3, 3))
     places[0], speeds[0], attitudes[0] = place, v, C
@@ -236,7 +439,38 @@ def run_wander(
     periods: Floats,
     hold: bool,
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """``R_ew`` (n + 1, 3, 3), heights (n + 1,), velocities and attitudes of `step_wander`."""
+    """``R_ew`` (n + 1, 3, 3), heights (n + 1,), velocities and attitudes of `step_wander`.
+
+    Parameters
+    ----------
+    R_ew : ndarray, shape (3, 3)
+        From w to e, at the start.
+    height : float
+        m.
+    v : ndarray, shape (3,)
+        w axes, m/s.
+    C : ndarray, shape (3, 3)
+        From b to w.
+    rotation : ndarray, shape (n, 3)
+        Of the body over each step, b axes, rad.
+    velocity : ndarray, shape (n, 3)
+        Its velocity changes, b axes, m/s.
+    periods : ndarray, shape (n,)
+        s.
+    hold : bool
+        Whether the height is held.
+
+    Returns
+    -------
+    R_ew : ndarray, shape (n + 1, 3, 3)
+        From w to e.
+    heights : ndarray, shape (n + 1,)
+        m.
+    velocities : ndarray, shape (n + 1, 3)
+        w axes, m/s.
+    attitudes : ndarray, shape (n + 1, 3, 3)
+        From b to w.
+    """
     n = periods.size
     frames, heights = np.empty((n + 1, 3, 3)), np.empty(n + 1)
     speeds, attitudes = np.empty((n + 1, 3)), np.empty((n + 1, 3, 3))
@@ -267,7 +501,36 @@ def run_cartesian(
     hold: bool,
     inertial: bool,
 ) -> tuple[Floats, Floats, Floats]:
-    """Positions, velocities and attitudes of `step_cartesian` in e or, with `inertial`, in i."""
+    """Positions, velocities and attitudes of `step_cartesian` in e or, with `inertial`, in i.
+
+    Parameters
+    ----------
+    r : ndarray, shape (3,)
+        m, at the start.
+    v : ndarray, shape (3,)
+        Against the Earth, m/s.
+    C : ndarray, shape (3, 3)
+        From b to the frame.
+    rotation : ndarray, shape (n, 3)
+        Of the body over each step, b axes, rad.
+    velocity : ndarray, shape (n, 3)
+        Its velocity changes, b axes, m/s.
+    periods : ndarray, shape (n,)
+        s.
+    hold : bool
+        Whether the height is held.
+    inertial : bool
+        Whether the frame is i.
+
+    Returns
+    -------
+    positions : ndarray, shape (n + 1, 3)
+        m.
+    velocities : ndarray, shape (n + 1, 3)
+        Against the Earth, m/s.
+    attitudes : ndarray, shape (n + 1, 3, 3)
+        From b to the frame.
+    """
     n = periods.size
     places, speeds, attitudes = np.empty((n + 1, 3)), np.empty((n + 1, 3)), np.empty((n + 1, 3, 3))
     places[0], speeds[0], attitudes[0] = r, v, C

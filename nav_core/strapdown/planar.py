@@ -85,8 +85,14 @@ def navigate_meridian(
 
     Parameters
     ----------
-    f_b, w_y, period, start
-        As `navigate_plane`, against axes x along the ground and z up.
+    f_b : ndarray, shape (n, 2)
+        Specific force along x and z of the body, m/s²; without turning, x is along the ground and z up.
+    w_y : ndarray, shape (n,)
+        Angular rate, rad/s.
+    period : float
+        Between samples, s.
+    start : PlanarStart, optional
+        As for `navigate_plane`.
     gravity : float
         Downwards, constant, m/s².
     radius : float
@@ -114,7 +120,23 @@ def navigate_meridian(
 
 @kernel
 def slope(state: Floats, f_x: float, f_z: float, w_y: float, g: float, radius: float, out: Floats) -> None:
-    """Write the rates of theta, v_x, v_z, x and z over a meridian into `out` (5,)."""
+    """Write the rates of theta, v_x, v_z, x and z over a meridian into `out` (5,).
+
+    Parameters
+    ----------
+    state : ndarray, shape (5,)
+        rad, m/s, m/s, m, m.
+    f_x, f_z : float
+        Specific force, b axes, m/s².
+    w_y : float
+        rad/s.
+    g : float
+        m/s².
+    radius : float
+        Of the Earth, m.
+    out : ndarray, shape (5,)
+        rad/s, m/s², m/s², m/s, m/s; overwritten.
+    """
     cosine, sine = np.cos(state[0]), np.sin(state[0])
     r = radius + state[4]
     out[0] = w_y - state[1] / r
@@ -126,7 +148,28 @@ def slope(state: Floats, f_x: float, f_z: float, w_y: float, g: float, radius: f
 
 @kernel
 def around(first: Floats, f_b: Floats, w_y: Floats, T: float, g: float, radius: float) -> Floats:
-    """States (n, 5) of `navigate_meridian` by Heun's rule."""
+    """States (n, 5) of `navigate_meridian` by Heun's rule.
+
+    Parameters
+    ----------
+    first : ndarray, shape (5,)
+        rad, m/s, m/s, m, m.
+    f_b : ndarray, shape (n, 2)
+        Specific force, b axes, m/s².
+    w_y : ndarray, shape (n,)
+        rad/s.
+    T : float
+        s.
+    g : float
+        m/s².
+    radius : float
+        Of the Earth, m.
+
+    Returns
+    -------
+    ndarray, shape (n, 5)
+        In the units of `first`.
+    """
     n = w_y.size
     states, one, other = np.empty((n, 5)), np.empty(5), np.empty(5)
     states[0] = first
