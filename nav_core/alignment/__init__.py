@@ -12,7 +12,7 @@ from nav_core.alignment.by_hand import LevelCheck, check_level, largest_tilt, or
 from nav_core.alignment.directions import Attitude, WahbaFit, triad, wahba
 from nav_core.alignment.levelling import Gyrocompass, Levelling, gyrocompass, level, mean_sigma, tilt
 from nav_core.alignment.magnetic import GaussNewtonFit, gauss_newton, master_slave
-from nav_core.alignment.recording import Alignment, Place, Trust, align
+from nav_core.alignment.recording import Alignment, Place, Trust, align, longest_rest
 
 __all__ = [
     "Alignment",
@@ -30,6 +30,7 @@ __all__ = [
     "gyrocompass",
     "largest_tilt",
     "level",
+    "longest_rest",
     "master_slave",
     "mean_sigma",
     "orientations",

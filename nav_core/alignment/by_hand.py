@@ -148,4 +148,5 @@ def orientations(axis: int, sign: int) -> Floats:
     down[axis], forward[(axis + 1) % 3] = -sign, 1.0
     first = np.stack((forward, np.cross(down, forward), down))
     quarter = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    return np.stack([np.linalg.matrix_power(quarter, k) @ first for k in range(4)])
+    # A zero with a minus would make 180° of an angle -180°.
+    return np.stack([np.linalg.matrix_power(quarter, k) @ first for k in range(4)]) + 0.0

@@ -31,6 +31,11 @@ def align(args: argparse.Namespace) -> int:
     progress("reading")
     drive = read_drive_file(args.file)
     place, field = surroundings(drive, args.lat, args.lon, args.height, args.year)
+    if args.by_hand:
+        from server.cli.by_hand import by_hand
+
+        progress("")
+        return by_hand(args, drive, place)
     trust = Trust(
         accelerometer=args.accel_bias_mg * 9.80665e-3,
         gyro=args.gyro_bias_deg_per_hour / PER_HOUR,

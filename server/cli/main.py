@@ -194,6 +194,15 @@ def _add_sensor_commands(add: Add) -> None:
     align.add_argument("--gyro-bias-deg-per-hour", type=float, default=360.0, help="1-sigma of the gyro's bias")
     align.add_argument("--field-sigma-ut", type=float, default=1.0, help="1-sigma of the magnetometer")
     align.add_argument("--heading-limit-deg", type=float, default=5.0, help="largest 1-sigma of a heading of use")
+    align.add_argument(
+        "--by-hand", action="store_true", help="only check that an axis is upright, and list the four mountings left"
+    )
+    align.add_argument("--tolerance", type=float, default=0.05, metavar="G", help="of that check")
+    align.add_argument(
+        "--forward-axis",
+        choices=("+x", "-x", "+y", "-y", "+z", "-z"),
+        help="choose among the four by the axis of the box that points forward, as --forward-axis=-x",
+    )
     for command in (allan, calibrate, align):
         command.add_argument("--json", action="store_true")
         command.add_argument("--plot", type=Path, metavar="IMAGE", help="write a figure: .png, .svg or .pdf")

@@ -190,3 +190,48 @@ def test_a_real_consumer_sensor_at_rest(capsys, tmp_path):
     claimed = aligned(capsys, file, "--lat", 50.0, "--gyro-bias-deg-per-hour", 0.01, "--heading-limit-deg", 60.0)
     assert claimed["gyrocompass"]["status"] == "disturbed"
     assert claimed["euler_deg"] is None
+
+
+def by_hand(capsys, *arguments):
+    result = json.loads(run(capsys, *arguments, "--by-hand", "--json"))
+    assert set(result) == {
+        "status", "rest", "tolerance_g", "largest_tilt_deg", "upright", "orientations", "R_va", "reasons",
+    }  # fmt: skip
+    return result
+
+
+def test_by_hand_the_upright_axis_and_four_orientations_remain(capsys, plain):
+    """The box of `write` leans by 14°: upright enough at 5 % of g, not at 1 %."""
+    result = by_hand(capsys, plain)
+    assert result["status"] == "level"
+    assert result["largest_tilt_deg"] == pytest.approx(18.19, abs=0.005)
+    upright = result["upright"]
+    # Levelled, z points down, so that its reading at rest is negative.
+    assert (upright["axis"], upright["points"]) == ("z", "down")
+    tilt = np.arccos(np.cos(ATTITUDE[0]) * np.cos(ATTITUDE[1]))
+    assert upright["angle_deg"] == pytest.approx(np.degrees(tilt), abs=0.1)
+    assert upright["reading_g"] == pytest.approx(np.cos(tilt), abs=0.002)
+    assert upright["cross_error_g"] == pytest.approx(np.sin(tilt), abs=0.002)
+    assert [each["forward"] for each in result["orientations"]] == ["+x", "-y", "-x", "+y"]
+    assert result["R_va"] is None
+    chosen = by_hand(capsys, plain, "--forward-axis=+x")
+    assert chosen["R_va"] == np.eye(3).tolist()
+    assert chosen["orientations"][0]["euler_deg"] == {"theta": 0.0, "phi": 0.0, "psi": 0.0}
+
+    strict = by_hand(capsys, plain, "--tolerance", 0.01, "--forward-axis=+x")
+    assert strict["status"] == "not_level"
+    assert strict["R_va"] is None
+    assert "z reads 0.97" in strict["reasons"][0]
+
+
+def test_by_hand_says_what_it_cannot_do(capsys, plain, tmp_path):
+    assert main(["align", str(plain), "--by-hand", "--forward-axis=-z"]) == 1
+    assert capsys.readouterr().err.count("\n") == 1
+    assert main(["align", str(plain), "--by-hand", "--tolerance", "2"]) == 1
+    assert "tolerance" in capsys.readouterr().err
+    moving = by_hand(capsys, write(tmp_path / "moving.csv", moving=True))
+    assert moving["status"] == "insufficient"
+    assert moving["orientations"] is None
+    text = run(capsys, plain, "--by-hand")
+    assert text.startswith("level\n  at rest from 1")
+    assert "  1. +x forward: theta 0°, phi 0°, psi 0°\n" in text
