@@ -55,6 +55,10 @@ def usable_fixes(gnss: Gnss, *, thinned: bool = True) -> Fixes:
     Fixes
     """
     good = gnss.fix & np.isfinite(gnss.speed) & ~stale(gnss)
+    # Columns that condemn most of a drive say more about themselves: some receivers fill them with a constant.
+    placed = good & ~gnss.poorly_placed()
+    if 2 * np.count_nonzero(placed) >= np.count_nonzero(good):
+        good = placed
     t, speed, course, alt = gnss.t[good], gnss.speed[good], gnss.course[good], gnss.alt[good]
     if thinned and t.size > 1:
         spacing = SPACING if t[-1] - t[0] < LONG else LONG_SPACING

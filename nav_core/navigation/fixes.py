@@ -79,11 +79,7 @@ def believable(gnss: Gnss, receiver: Receiver) -> Flags:
         A fix without `hdop` or `sats` is not judged by them.
     """
     good = gnss.fix & np.isfinite(gnss.lat) & np.isfinite(gnss.lon) & ~stale(gnss)
-    if gnss.hdop is not None:
-        good &= ~(gnss.hdop > receiver.max_hdop)
-    if gnss.sats is not None:
-        good &= ~(gnss.sats < receiver.min_sats)
-    return good
+    return good & ~gnss.poorly_placed(receiver.max_hdop, receiver.min_sats)
 
 
 class Reports(NamedTuple):

@@ -130,6 +130,12 @@ def _add_file_commands(add: Add) -> None:
         metavar="MOUNT.json",
         help="what `mount --json` printed; default: from the drive itself",
     )
+    navigate.add_argument(
+        "--pulses",
+        type=Path,
+        metavar="CSV",
+        help="column t: box times of the receiver's pulse per second; dates the track and tells how late fixes arrive",
+    )
     navigate.add_argument("--forward", action="store_true", help="no smoothing: each moment knows only its past")
     navigate.add_argument("--plot", type=Path, metavar="FIGURE", help="write a figure: .png, .svg or .pdf")
     navigate.add_argument("--json", action="store_true")

@@ -16,19 +16,31 @@ from server.settings import set_numba_cache_dir
 if TYPE_CHECKING:
     from nav_core.navigation import Solution
     from nav_core.records import Drive
-    from nav_core.timebase import Gap
+    from nav_core.timebase import ClockFit, Gap
     from nav_core.typing import Floats
 
 NAMES = ("lat", "lon", "alt", "vn", "ve", "vd", "roll", "pitch", "yaw")
 
 
+USUAL_LATENCY = 0.4
+"""Of a receiver whose lag is not known, s: to half a second on either side its pulses can be numbered."""
+
+
 class Mounting(NamedTuple):
-    """What navigation needs of a mounting."""
+    """What navigation needs of a mounting; lags in s, None where not known."""
 
     R_va: Floats
     sigma: float
-    speed_lag: float
-    course_lag: float
+    speed_lag: float | None
+    course_lag: float | None
+
+
+class Clock(NamedTuple):
+    """The box clock against UTC, and where the fit comes from; the latency of the fixes is known from pulses alone."""
+
+    fit: ClockFit
+    source: str
+    latency: float | None
 
 
 def navigate(args: argparse.Namespace) -> int:
@@ -42,8 +54,12 @@ def navigate(args: argparse.Namespace) -> int:
     progress("mounting")
     mounting = _mounting(drive, args.mount)
     progress("track")
+    clock = clock_of(drive, args.pulses, mounting.speed_lag)
     R_va, smoothed = mounting.R_va, not args.forward
-    speed_lag, course_lag = mounting.speed_lag, mounting.course_lag
+    # No lag is shorter than the way of the message; where the drive does not tell more, it is taken for that.
+    least = (clock.latency if clock is not None else None) or 0.0
+    speed_lag = least if mounting.speed_lag is None else mounting.speed_lag
+    course_lag = least if mounting.course_lag is None else mounting.course_lag
     if drive.inertial.w is None:
         solution = navigate_without_gyro(drive, R_va, speed_lag=speed_lag, course_lag=course_lag, smoothed=smoothed)
     else:
@@ -56,12 +72,14 @@ def navigate(args: argparse.Namespace) -> int:
         progress("figure")
         plot(args.plot, solution, drive, spans)
     progress("")
-    report = report_of(solution, spans, mounting)
+    report = report_of(solution, spans, mounting._replace(speed_lag=speed_lag, course_lag=course_lag), clock)
     if args.json:
         print(json.dumps({"out": str(args.out), **report}))
         return 0
     print(f"{args.out}: {report['distance_km']:.3f} km in {report['duration_s']:.0f} s, {report['method']}")
     print(f"  95 % within {report['radius95_m']['median']:.1f} m (median), {report['radius95_m']['max']:.1f} m (worst)")
+    if clock is not None and clock.latency is not None:
+        print(f"  dated by the pulses, ±{clock.fit.sigma:.2g} s; fixes arrive {clock.latency:.3f} s after their moment")
     for span in report["outages"]:
         reach = span["radius95_m"]
         within = "no inertial data either" if reach is None else f"within {reach:.1f} m"
@@ -103,7 +121,44 @@ def write_track(path: Path, columns: dict[str, Floats]) -> None:
         csv.write_csv(table, path, csv.WriteOptions(quoting_style="none", quoting_header="none"))
 
 
-def report_of(solution: Solution, spans: tuple[Gap, ...], mounting: Mounting) -> dict[str, Any]:
+def clock_of(drive: Drive, pulses: Path | None, speed_lag: float | None) -> Clock | None:
+    """Date the box clock: by the pulse per second where a file of its box times is given, else by the fixes."""
+    from nav_core.timebase import fit_clock, fit_pulses
+
+    utc = drive.gnss.utc
+    dated = utc is not None and bool(np.isfinite(utc).any())
+    if pulses is None:
+        return Clock(fit_clock(drive.gnss.t, utc), "fixes", None) if utc is not None and dated else None
+    if utc is None or not dated:
+        raise ValueError("the pulses need fixes with utc, which say which second each pulse begins")
+    t = read_pulses(pulses)
+    inside = (t >= drive.gnss.t[0] - 60.0) & (t <= drive.gnss.t[-1] + 60.0)
+    if not inside.any():
+        raise ValueError(f"{pulses}: no pulse at the time of the drive; t must be the same box clock")
+    coarse = fit_clock(drive.gnss.t, utc)
+    fine = fit_pulses(t[inside], coarse, lag=USUAL_LATENCY if speed_lag is None else speed_lag)
+    middle = np.array([coarse.t_ref])
+    return Clock(fine, "pulses", float((fine.utc(middle) - coarse.utc(middle))[0]))
+
+
+def read_pulses(path: Path) -> Floats:
+    """Box times of the pulses, s: the column `t` of a CSV file."""
+    import pyarrow as pa
+    from pyarrow import csv
+
+    try:
+        column = csv.read_csv(path)["t"].cast(pa.float64())
+    except (KeyError, pa.ArrowInvalid) as error:
+        raise ValueError(f"{path}: a CSV file with a column t of numbers is needed ({error})") from error
+    t: Floats = column.to_numpy()
+    if not np.isfinite(t).all():
+        raise ValueError(f"{path}: row {int(np.argmin(np.isfinite(t))) + 2} is no number")
+    return t
+
+
+def report_of(
+    solution: Solution, spans: tuple[Gap, ...], mounting: Mounting, clock: Clock | None = None
+) -> dict[str, Any]:
     """What the command says of a track."""
     from nav_core.navigation import radius
 
@@ -133,6 +188,15 @@ def report_of(solution: Solution, spans: tuple[Gap, ...], mounting: Mounting) ->
         "gyro_bias_deg_s": np.degrees(solution.bias[-1, 3:]).tolist() if inertial else None,
         "R_va": mounting.R_va.tolist(),
         "gps_lag_s": {"speed": mounting.speed_lag, "course": mounting.course_lag},
+        "clock": None
+        if clock is None
+        else {
+            "source": clock.source,
+            "utc_at_begin": float(clock.fit.utc(solution.t[:1])[0]),
+            "drift_ppm": 1e6 * clock.fit.drift,
+            "sigma_s": clock.fit.sigma,
+            "fix_latency_s": clock.latency,
+        },
         "quality": quality,
     }
 
@@ -159,13 +223,13 @@ def _mounting(drive: Drive, path: Path | None) -> Mounting:
     if not isinstance(document, dict) or document.get("R_va") is None:
         reasons: list[str] = document.get("reasons") or [] if isinstance(document, dict) else []
         raise ValueError(f"{source} does not tell the mounting; {' '.join(reasons) or 'give one with --mount'}")
-    lags = document.get("gps_lag_s") or {}
+    lags: dict[str, float | None] = document.get("gps_lag_s") or {}
     sigma = document.get("sigma_deg")
     return Mounting(
         np.array(document["R_va"], dtype=np.float64),
         math.radians(max(sigma.values())) if sigma else math.radians(1.0),
-        float(lags.get("speed") or 0.0),
-        float(lags.get("course") or 0.0),
+        lags.get("speed"),
+        lags.get("course"),
     )
 
 

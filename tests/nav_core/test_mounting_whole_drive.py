@@ -290,3 +290,28 @@ def test_unknown_methods_are_refused_by_name():
     with pytest.raises(UnknownMethodError, match="two-phase") as caught:
         estimate_mounting(drive, method="by-eye")
     assert caught.value.known == ("whole-drive", "online", "mekf", "two-phase")
+
+
+def test_fixes_of_poor_geometry_are_left_out_and_a_constant_column_is_not_believed():
+    drive, truth = simulate(Scenario(route="urban", duration=120.0), seed=11)
+    gnss = drive.gnss
+    n = gnss.t.size
+    good = replace(gnss, hdop=np.full(n, 1.1), sats=np.full(n, 9.0))
+    plain = estimate_mounting(drive)
+    for columns in (good, replace(gnss, hdop=np.full(n, 99.9)), replace(gnss, sats=np.zeros(n))):
+        same = estimate_mounting(replace(drive, gnss=columns))
+        assert np.array_equal(same.R_va, plain.R_va)
+        assert np.array_equal(same.covariance, plain.covariance)
+
+    # Under a bridge every fifth second: the receiver says so, and its speed is off by metres per second.
+    bridge = gnss.t % 5.0 < 1.0
+    wild = np.where(
+        bridge, gnss.speed + np.random.default_rng(1).normal(0.0, 4.0, n).clip(-gnss.speed, None), gnss.speed
+    )
+    said = replace(gnss, speed=wild, hdop=np.where(bridge, 12.0, 1.1))
+    left_out = estimate_mounting(replace(drive, gnss=said))
+    believed = estimate_mounting(replace(drive, gnss=replace(said, hdop=None)))
+    errors = [angle_between(each.R_va, truth.R_va) if each.R_va is not None else np.pi for each in (left_out, believed)]
+    assert left_out.status == "ready"
+    assert errors[0] < np.radians(3.0)
+    assert believed.R_va is None or np.trace(believed.covariance) > np.trace(left_out.covariance)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from nav_core.navigation import hidden
 from nav_core.records import Drive, Inertial
 from nav_core.simulate import Scenario, simulate
 from server.cli.main import main
-from server.formats.drive import from_drive, write_drive_file
+from server.formats.drive import from_drive, read_drive_file, write_drive_file
 
 VALUES = ["lat", "lon", "alt", "vn", "ve", "vd", "roll", "pitch", "yaw"]
 
@@ -93,3 +94,61 @@ def test_a_mounting_that_is_not_known_is_refused(recording, capsys):
     assert main([*arguments, "--mount", str(folder / "unknown.json")]) == 1
     assert "No turns yet." in capsys.readouterr().err
     assert not (folder / "x.csv").exists()
+
+
+def test_pulses_date_the_track_and_tell_how_late_fixes_arrive(recording, tmp_path, capsys):
+    """The box clock runs 30 ppm fast of UTC's second; the receiver answers 0.27 s after the moment of its fix."""
+    folder, truth = recording
+    drive = read_drive_file(folder / "drive.csv")
+    gnss, latency, begin = drive.gnss, 0.27, 1_767_225_600.4
+    utc = begin + (1.0 - 3e-5) * (gnss.t - latency)
+    file = tmp_path / "dated.csv"
+    write_drive_file(file, from_drive(Drive(drive.inertial, replace(gnss, utc=utc))))
+    seconds = np.arange(np.ceil(begin), begin + 100.0)
+    pulses = tmp_path / "pulses.csv"
+    np.savetxt(pulses, (seconds - begin) / (1.0 - 3e-5), header="t", comments="", fmt="%.6f")
+    mount = tmp_path / "mount.json"
+    mount.write_text(json.dumps({"R_va": truth.R_va.tolist()}), encoding="utf-8")
+    arguments = ["navigate", str(file), "--out", str(tmp_path / "track.csv"), "--mount", str(mount)]
+
+    assert main([*arguments, "--json"]) == 0
+    plain = json.loads(capsys.readouterr().out)
+    assert plain["clock"]["source"] == "fixes"
+    assert plain["clock"]["fix_latency_s"] is None
+    assert plain["gps_lag_s"] == {"speed": 0.0, "course": 0.0}
+
+    assert main([*arguments, "--json", "--pulses", str(pulses)]) == 0
+    report = json.loads(capsys.readouterr().out)
+    clock = report["clock"]
+    assert clock["source"] == "pulses"
+    assert clock["fix_latency_s"] == pytest.approx(latency, abs=1e-3)
+    assert clock["drift_ppm"] == pytest.approx(-30.0, abs=1.0)
+    assert clock["utc_at_begin"] == pytest.approx(begin + (1.0 - 3e-5) * report["begin_s"], abs=2e-5)
+    assert clock["sigma_s"] < 1e-3
+    assert report["gps_lag_s"]["speed"] == clock["fix_latency_s"]
+    # The fixes alone date everything too early by their latency, and cannot know it.
+    dated = begin - latency + (1.0 - 3e-5) * plain["begin_s"]
+    assert plain["clock"]["utc_at_begin"] == pytest.approx(dated, abs=1e-3)
+
+    assert main([*arguments, "--pulses", str(pulses)]) == 0
+    assert "dated by the pulses" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("rows", "said"),
+    [
+        ("s\n1\n", "column t"),
+        ("t\n1\nx\n", "column t of numbers"),
+        ("t\n1\nnan\n", "row 3"),
+        ("t\n900000\n", "same box clock"),
+    ],
+)
+def test_pulses_that_cannot_be_used_are_one_line(recording, tmp_path, capsys, rows, said):
+    folder, _ = recording
+    pulses = tmp_path / "pulses.csv"
+    pulses.write_text(rows, encoding="utf-8")
+    arguments = ["navigate", str(folder / "drive.csv"), "--out", str(tmp_path / "track.csv")]
+    assert main([*arguments, "--mount", str(folder / "mount.json"), "--pulses", str(pulses)]) == 1
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert said in error
