@@ -10,26 +10,8 @@ import numpy as np
 from timing import Row, best, once, print_rows
 
 from nav_core.kalman import kernels as steps
-from nav_core.navigation import Receiver, Vehicle, inertial_gnss, kernels
-from nav_core.navigation.inertial_gnss import Record
+from nav_core.navigation import Receiver, Vehicle, inertial_gnss
 from nav_core.simulate import Scenario, simulate
-
-
-def run(record: Record) -> tuple[np.ndarray, ...]:
-    """The kernel over a record; its start stays as it is."""
-    start = record.start
-    return kernels.run(
-        record.t,
-        record.increments.rotation,
-        record.increments.velocity,
-        *record.epochs,
-        record.arm,
-        record.weights,
-        start.place.copy(),
-        start.v.copy(),
-        start.C.copy(),
-        start.P.copy(),
-    )
 
 
 def every_epoch() -> list[Row]:
@@ -38,7 +20,7 @@ def every_epoch() -> list[Row]:
     record = inertial_gnss.prepare(
         drive, truth.R_va, receiver=Receiver(), vehicle=Vehicle(), speed_lag=0.0, course_lag=0.0
     )
-    step = 1e6 * best(lambda: run(record), repeat=40) / record.epochs.sample.size
+    step = 1e6 * best(lambda: inertial_gnss.forward(record), repeat=40) / record.epochs.sample.size
     return [Row("15-state filter: predict, update with fix and constraints, per step", step, "µs", "≤ 20 µs")]
 
 
@@ -51,7 +33,7 @@ def against_python_ins() -> list[Row]:
 
     record = python_ins.comparable(python_ins.comparable_world(4, duration=18.0))
     samples = record.t.size
-    ours, theirs = best(lambda: run(record), repeat=30), once(python_ins.peer(record))
+    ours, theirs = best(lambda: inertial_gnss.forward(record), repeat=30), once(python_ins.peer(record))
     return [
         Row("15-state filter, 100 Hz, positions at 4 Hz, per sample", 1e6 * ours / samples, "µs"),
         Row("python-ins run_feedback_filter, same record, per sample", 1e6 * theirs / samples, "µs"),
@@ -65,7 +47,7 @@ def linearised(states: int) -> tuple[np.ndarray, np.ndarray]:
     record = inertial_gnss.prepare(
         drive, truth.R_va, receiver=Receiver(), vehicle=Vehicle(), speed_lag=0.0, course_lag=0.0
     )
-    return run(record)[6][1:, :states, :states].copy(), record.start.P[:states, :states].copy()
+    return inertial_gnss.forward(record).Phi[1:, :states, :states].copy(), record.start.P[:states, :states].copy()
 
 
 def against_filterpy(states: int) -> list[Row]:

@@ -114,7 +114,8 @@ def online_fleet(drive: Drive, boxes: int = 1000) -> float:
     """Seconds for one call that takes every box of a fleet past its next fix."""
     import numpy as np
 
-    from nav_core.mounting.online import advance, begin, stack
+    from nav_core.mounting.online import advance, begin
+    from nav_core.mounting.online_hypotheses import stack
     from nav_core.mounting.online_kernel import run
     from nav_core.mounting.online_model import Tuning
     from nav_core.mounting.online_rows import HORIZON, ready_fixes, records_of, rows_of

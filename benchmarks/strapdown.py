@@ -16,7 +16,7 @@ def rows() -> list[Row]:
     from nav_core import earth
     from nav_core.simulate import Scenario, simulate
     from nav_core.simulate.globe import on_the_globe
-    from nav_core.strapdown import from_integrals, from_rates, kernels
+    from nav_core.strapdown import cartesian_kernels, from_integrals, from_rates, kernels, wander_kernels
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -34,9 +34,9 @@ def rows() -> list[Row]:
     runs: list[tuple[str, Callable[[], object]]] = [
         ("n, north east down", lambda: kernels.run_local(place, v, C, *driven, True, False)),
         ("n, north east up", lambda: kernels.run_local(place, v, C, *driven, True, True)),
-        ("wander azimuth", lambda: kernels.run_wander(R_et, 240.0, v, C, *driven, True)),
-        ("e", lambda: kernels.run_cartesian(*cartesian, *driven, True, False)),
-        ("i", lambda: kernels.run_cartesian(*cartesian, *driven, True, True)),
+        ("wander azimuth", lambda: wander_kernels.run_wander(R_et, 240.0, v, C, *driven, True)),
+        ("e", lambda: cartesian_kernels.run_cartesian(*cartesian, *driven, True, False)),
+        ("i", lambda: cartesian_kernels.run_cartesian(*cartesian, *driven, True, True)),
     ]
     measured = [Row(f"strapdown step, {name}", 1e6 * best(run) / n, "µs", "≤ 1 µs") for name, run in runs]
     angle, thrust = increments.rotation, increments.velocity

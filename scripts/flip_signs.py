@@ -66,13 +66,13 @@ FLIPS = (
         "test_navigation_inertial_gnss.py::test_the_kernel_agrees_with_the_matrices",
     ),
     Flip(
-        "navigation/kernels.py",
+        "navigation/rows.py",
         "e[row] = -body[i] - swing[i]",
         "e[row] = -body[i] + swing[i]",
         "test_navigation_inertial_gnss.py::test_the_slip_free_point_is_where_the_arm_says",
     ),
     Flip(
-        "navigation/kernels.py",
+        "navigation/rows.py",
         "e[i] -= H[i, VEHICLE + i] * slow[6 + i]",
         "e[i] += H[i, VEHICLE + i] * slow[6 + i]",
         "test_navigation_inertial_gnss.py::test_the_kernel_agrees_with_the_matrices",

@@ -12,9 +12,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from nav_core.mounting.model import Noise, pitch_plane, yaw_plane
+from nav_core.mounting.model import Noise
+from nav_core.mounting.pitch_plane import pitch_plane
 from nav_core.mounting.stretch import Record
 from nav_core.mounting.whitening import whiten
+from nav_core.mounting.yaw_plane import yaw_plane
 from nav_core.typing import Floats
 
 _LADDER = (1.0, 1.5, 2.2, 3.3, 5.0, 8.0)

@@ -11,42 +11,31 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from nav_core.errors import ShapeError
 from nav_core.mounting.closed_form import level_basis
+from nav_core.mounting.online_hypotheses import adapted, likely, likely_bias, settled, stack
 from nav_core.mounting.online_kernel import run
 from nav_core.mounting.online_model import (
-    ACROSS,
-    ALONG,
-    BEYOND_DOUBT,
     BIAS,
     COURSE_LAG,
     N_COLUMNS,
-    OF_CLIMB,
-    OF_COURSE,
-    OF_SIDE,
-    OF_SPEED,
     SPEED_LAG,
-    TURN,
-    UNLIKELY,
-    UP,
     Filters,
     Tuning,
     hypotheses,
     initial_filters,
-    prior_sigma,
 )
 from nav_core.mounting.online_rows import HORIZON, SLOWEST, Place, ready_fixes, records_of, rows_of
 from nav_core.mounting.online_stream import Chunk, fixes_where, joined, jumped_back, ticks_since
-from nav_core.mounting.online_tally import PIECE, Tally, innovation_ratios, moved_on, noted, piece_of, strangeness
+from nav_core.mounting.online_tally import PIECE, Tally, moved_on, noted, piece_of, strangeness
 from nav_core.mounting.online_watch import Move, Watch, looked_after
 from nav_core.mounting.quality import reason
 from nav_core.mounting.stretch import Fixes, Record, gps_rate, unrolled
 from nav_core.mounting.trouble import wrong_unit
 from nav_core.records import Gnss, Reason
 from nav_core.signal import Ticks, merge
-from nav_core.typing import Floats, Integers
+from nav_core.typing import Floats
 
 LISTEN = 8.0
 """Specific force is heard for this long before it levels the start, s."""
@@ -60,20 +49,11 @@ WAIT = 120.0
 KEEP = 6.0
 """How much of the raw stream before the last fix a state carries, s."""
 
-SAME_YAW = 0.4
-"""Hypotheses that have come this near to the best are the same, rad; the best then stands alone once it is sure."""
-
-SURE_YAW = 0.12
-"""rad."""
-
 ADAPTED_AFTER = 20.0
 """s of driving before the innovations say how rough it is."""
 
 MISMATCH = 10.0
 """So many times the usual noise are no longer that of a box fixed in a car."""
-
-ROUGHEST = 20.0
-"""Most that noise is scaled by."""
 
 LAG_STEP = 0.15
 LONGEST_LAG = 2.5
@@ -309,60 +289,14 @@ def _run_piece(works: list[_Work]) -> None:
         work.state = replace(work.state, watch=work.state.watch._replace(second=second))
 
 
-def settled(filters: Filters) -> bool:
-    """Whether one hypothesis is left; a mirrored one may stay beside it until a turn tells.
-
-    Parameters
-    ----------
-    filters : Filters
-        Of one box.
-
-    Returns
-    -------
-    bool
-        True also with a mirrored one beside it.
-    """
-    return int(np.count_nonzero(filters.mirrored == filters.mirrored[filters.best])) == 1
-
-
-def stack(filters: Sequence[Filters | None], rows: Sequence[Floats]) -> tuple[Filters, Integers, Integers, Floats]:
-    """Filters of many boxes side by side (copied), the ranges of their rows, and the rows.
-
-    Parameters
-    ----------
-    filters : sequence of Filters or None
-        One per box; None where a box has none: left out.
-    rows : sequence of ndarray, shape (k, 30)
-        One array per box that has filters.
-
-    Returns
-    -------
-    filters : Filters
-        Of all boxes.
-    first : ndarray of int, shape (m,)
-        First row of each filter.
-    last : ndarray of int, shape (m,)
-        One past its last row.
-    rows : ndarray, shape (n, 30)
-        Of all boxes.
-    """
-    present = [each for each in filters if each is not None]
-    stacked = Filters(*(np.concatenate(columns) for columns in zip(*present, strict=True)))
-    ends = np.cumsum([each.shape[0] for each in rows])
-    sizes = [each.x.shape[0] for each in present]
-    last = np.repeat(ends, sizes)
-    first = np.repeat(ends - [each.shape[0] for each in rows], sizes)
-    return stacked, first, last, np.concatenate(rows)
-
-
 def _looked_at(state: OnlineState) -> OnlineState:
     """Drop hypotheses, move the lags, and take the drive's own measure of noise and bias, at the end of a piece."""
     assert state.filters is not None
-    filters = _likely(state.filters) if state.filters.x.shape[0] > 1 else state.filters
+    filters = likely(state.filters) if state.filters.x.shape[0] > 1 else state.filters
     best = filters.best
     shift = np.clip(filters.x[best, [SPEED_LAG, COURSE_LAG]], -LAG_STEP, LAG_STEP)
     lags = np.clip(np.add(state.lags, shift), 0.0, LONGEST_LAG)
-    bias = _likely_bias(state, filters, best)
+    bias = likely_bias(filters, state.bias, state.tuning)
 
     def shifted(these: Filters) -> Filters:
         x, P = these.x.copy(), these.P.copy()
@@ -373,9 +307,9 @@ def _looked_at(state: OnlineState) -> OnlineState:
 
     filters, watch = shifted(filters), state.watch
     if watch.second is not None:
-        watch = watch._replace(second=_adapted(shifted(watch.second), state.tuning))
+        watch = watch._replace(second=adapted(shifted(watch.second), state.tuning))
     if settled(filters) and state.tally.driven > ADAPTED_AFTER:
-        filters = _adapted(filters, state.tuning)
+        filters = adapted(filters, state.tuning)
         if not filters.mirrored[filters.best]:
             watch = looked_after(watch, filters, state.tally, state.tuning, float(state.tally.trail[-1, 0]))
     return replace(state, filters=filters, lags=(float(lags[0]), float(lags[1])), bias=bias, watch=watch)
@@ -415,58 +349,6 @@ def _after(move: Move, work: _Work, now: float) -> _Work:
     )
     work.record, work.spin = records_of(ticks, spin, gnss)
     return work
-
-
-def _adapted(filters: Filters, tuning: Tuning) -> Filters:
-    """Noise levels moved towards what the innovations ask for; never below the tuning's.
-
-    Where they rise, what has been learned so far was believed too much: the covariance of the drive's
-    constants is widened along, up to what was known at the start.
-    """
-    ratio = innovation_ratios(filters)
-    wanted = np.where((ratio > 1.15) | (ratio < 0.8), np.clip(np.sqrt(ratio), 0.8, 1.6), 1.0)
-    scale = np.clip(filters.scale * wanted, 1.0, ROUGHEST)
-    factor = scale / filters.scale
-    notes, P = filters.notes.copy(), filters.P.copy()
-    for kind, of in ((OF_SPEED, ALONG), (OF_CLIMB, UP), (OF_COURSE, ACROSS), (OF_SIDE, ACROSS)):
-        notes[:, kind, 0] /= factor[:, of] ** 2
-    deviation = np.sqrt(np.einsum("kii->ki", P))
-    room = np.maximum(prior_sigma(tuning) / np.maximum(deviation, 1e-12), 1.0)
-    grown = np.minimum(np.maximum(factor.max(axis=1), 1.0)[:, None], room)
-    grown[:, :TURN] = 1.0
-    return filters._replace(scale=scale, notes=notes, P=P * grown[:, :, None] * grown[:, None, :])
-
-
-def _likely_bias(state: OnlineState, filters: Filters, best: int) -> float:
-    """The deviation of the two level biases once the vertical one has been seen; it never shrinks.
-
-    The vertical bias shows in the magnitude of gravity, and a bad accelerometer is bad in all axes.
-    Inverse-gamma prior of the variance with two degrees of freedom, as for the whole drive.
-    """
-    down = BIAS + 2
-    if filters.P[best, down, down] > 0.25 * state.tuning.bias**2:
-        return state.bias
-    return max(state.bias, float(np.sqrt((2.0 * state.tuning.bias**2 + filters.x[best, down] ** 2) / 3.0)))
-
-
-def _likely(filters: Filters) -> Filters:
-    """The hypotheses that are still possible; of those alike, the best once it is sure and they have come together."""
-    margin = innovation_ratios(filters).max(initial=1.0)
-    mountings = Rotation.from_rotvec(filters.x[:, TURN : TURN + 3]).as_matrix() @ filters.R_va
-    kept = np.zeros(filters.likelihood.size, dtype=np.bool_)
-    for side in (False, True):
-        alike = np.flatnonzero(filters.mirrored == side)
-        if not alike.size:
-            continue
-        first = alike[np.argmax(filters.likelihood[alike])]
-        if filters.likelihood[first] < filters.likelihood.max() - BEYOND_DOUBT * margin:
-            continue
-        alike = alike[filters.likelihood[alike] > filters.likelihood[first] - UNLIKELY * margin]
-        # The trace of a rotation by an angle is 1 + 2 cos; both are proper or both are mirrored.
-        together = np.einsum("ij,kij->k", mountings[first], mountings[alike]) > 1.0 + 2.0 * np.cos(SAME_YAW)
-        sure = filters.P[first, TURN + 2, TURN + 2] < SURE_YAW**2
-        kept[first if sure and together.all() else alike] = True
-    return Filters(*(column[kept] for column in filters))
 
 
 def _trimmed(state: OnlineState) -> OnlineState:

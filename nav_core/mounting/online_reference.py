@@ -10,8 +10,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from nav_core.mounting import online_model as m
-from nav_core.mounting.online_kernel import CLIPPED, COURSE_FLOOR, FADE, FOLLOW, JERK_TIME, LOST, TRACK_ANEW
+from nav_core.mounting.online_kernel import FOLLOW
+from nav_core.mounting.online_measurements import CLIPPED, COURSE_FLOOR, FADE, JERK_TIME
 from nav_core.mounting.online_model import GRAVITY, Filters, Tuning
+from nav_core.mounting.online_prediction import LOST, TRACK_ANEW
 from nav_core.rotation import skew, wrap
 from nav_core.typing import Floats
 

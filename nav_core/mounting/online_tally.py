@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from nav_core.mounting.confidence import CONVERGED
-from nav_core.mounting.online_kernel import CLIPPED
+from nav_core.mounting.online_measurements import CLIPPED
 from nav_core.mounting.online_model import (
     ACROSS,
     ALONG,

@@ -7,7 +7,8 @@ import numpy as np
 from nav_core.mounting.confidence import CONVERGED, STEADY, STEADY_SPAN, observability
 from nav_core.mounting.model import GRAVITY
 from nav_core.mounting.moved import LEAST_ANGLE
-from nav_core.mounting.online import LEAST_TICKS, LISTEN, MISMATCH, OnlineState, advance, begin, settled
+from nav_core.mounting.online import LEAST_TICKS, LISTEN, MISMATCH, OnlineState, advance, begin
+from nav_core.mounting.online_hypotheses import settled
 from nav_core.mounting.online_model import BIAS, SPEED_LAG, Filters
 from nav_core.mounting.online_stream import chunks_of
 from nav_core.mounting.online_tally import covariance_of, mounting_of, recent_test, restlessness, strangeness

@@ -8,20 +8,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from nav_core.mounting.closed_form import Start
-from nav_core.mounting.model import (
-    BIAS,
-    COURSE_LAG,
-    MILLI_G,
-    SPEED_LAG,
-    TURN,
-    UNKNOWNS,
-    Noise,
-    pitch_plane,
-    prior,
-    yaw_plane,
-)
+from nav_core.mounting.model import BIAS, COURSE_LAG, MILLI_G, SPEED_LAG, TURN, UNKNOWNS, Noise, prior
+from nav_core.mounting.pitch_plane import pitch_plane
 from nav_core.mounting.stretch import Record, blocks_of
 from nav_core.mounting.whitening import Evidence, echo, whiten
+from nav_core.mounting.yaw_plane import yaw_plane
 from nav_core.typing import Floats
 
 BLOCK = 5.0

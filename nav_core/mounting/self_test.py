@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from nav_core.mounting.model import pitch_plane
+from nav_core.mounting.pitch_plane import pitch_plane
 from nav_core.mounting.refine import Fit
 from nav_core.mounting.stretch import Record
 from nav_core.mounting.whitening import whiten

@@ -19,8 +19,8 @@ from nav_core.kalman.kernels import smooth_backwards
 from nav_core.navigation import kernels
 from nav_core.navigation.epochs import Epochs, epochs_of
 from nav_core.navigation.fixes import Receiver, Reports, reports
-from nav_core.navigation.kernels import Weights
 from nav_core.navigation.solution import Solution
+from nav_core.navigation.states import STATES, VEHICLE, Weights
 from nav_core.records import Drive
 from nav_core.rotation import euler_to_matrix, rotvec_to_matrix
 from nav_core.strapdown.increments import Increments, from_rates
@@ -145,6 +145,39 @@ class Record(NamedTuple):
     fixes: int
 
 
+class Forward(NamedTuple):
+    """The filter's run over a record, at its m epochs.
+
+    Attributes
+    ----------
+    places, v : ndarray, shape (m, 3)
+        Latitude, longitude (rad), height (m); north, east, down, m/s.
+    C : ndarray, shape (m, 3, 3)
+        From V to T.
+    slow : ndarray, shape (m, 11)
+        Biases of accelerometer and gyro, m/s² and rad/s, and the receiver's errors.
+    P_prior, P, Phi : ndarray, shape (m, 20, 20)
+        Covariances before and after the update, and transitions into each epoch.
+    dx : ndarray, shape (m, 20)
+        What each update put into the track.
+    left_out : int
+        Fixes that the gate left out.
+    still : ndarray, shape (m,)
+        1 where the vehicle stands.
+    """
+
+    places: Floats
+    v: Floats
+    C: Floats
+    slow: Floats
+    P_prior: Floats
+    P: Floats
+    Phi: Floats
+    dx: Floats
+    left_out: int
+    still: Floats
+
+
 START_SPEED = 3.0
 """The course of the first fix at this speed, m/s, says where the vehicle points."""
 
@@ -202,8 +235,49 @@ def navigate(
         speed_lag=speed_lag,
         course_lag=course_lag,
     )
+    run = forward(record)
+    places, v, attitudes, slow, P = run.places, run.v, run.C, run.slow, run.P
+    if smoothed:
+        e = np.zeros_like(run.dx)
+        # Corrections are already in the estimate: seen from it, each prediction stood at minus its correction.
+        smooth_backwards(-run.dx, run.P_prior, e, P, run.Phi[1:])
+        places, v, attitudes, slow = moved(places, v, attitudes, slow, e)
+    covariance = P[:, :VEHICLE, :VEHICLE].copy()
+    # The triad navigated is the box turned by its mounting: what that errs by, the attitude of the vehicle errs by.
+    covariance[:, range(6, 9), range(6, 9)] += record.weights.mount**2
+    return Solution(
+        "inertial-gnss",
+        smoothed,
+        record.t[record.epochs.sample],
+        places[:, 0],
+        np.pi - np.mod(np.pi - places[:, 1], 2.0 * np.pi),
+        places[:, 2],
+        v,
+        attitudes,
+        covariance,
+        slow[:, :6],
+        run.still,
+        record.fixes,
+        run.left_out,
+        drive.remarks,
+    )
+
+
+def forward(record: Record) -> Forward:
+    """Run the filter over a record, which stays as it is.
+
+    Parameters
+    ----------
+    record : Record
+        Of `prepare`.
+
+    Returns
+    -------
+    Forward
+        T axes, SI units and rad.
+    """
     start, epochs = record.start, record.epochs._replace(still=record.epochs.still.copy())
-    places, v, attitudes, slow, P_prior, P, Phi, dx, left_out = kernels.run(
+    places, v, C, slow, P_prior, P, Phi, dx, left_out = kernels.run(
         record.t,
         record.increments.rotation,
         record.increments.velocity,
@@ -215,30 +289,7 @@ def navigate(
         start.C.copy(),
         start.P.copy(),
     )
-    if smoothed:
-        e = np.zeros_like(dx)
-        # Corrections are already in the estimate: seen from it, each prediction stood at minus its correction.
-        smooth_backwards(-dx, P_prior, e, P, Phi[1:])
-        places, v, attitudes, slow = moved(places, v, attitudes, slow, e)
-    covariance = P[:, : kernels.VEHICLE, : kernels.VEHICLE].copy()
-    # The triad navigated is the box turned by its mounting: what that errs by, the attitude of the vehicle errs by.
-    covariance[:, range(6, 9), range(6, 9)] += record.weights.mount**2
-    return Solution(
-        "inertial-gnss",
-        smoothed,
-        record.t[epochs.sample],
-        places[:, 0],
-        np.pi - np.mod(np.pi - places[:, 1], 2.0 * np.pi),
-        places[:, 2],
-        v,
-        attitudes,
-        covariance,
-        slow[:, :6],
-        epochs.still,
-        record.fixes,
-        int(left_out),
-        drive.remarks,
-    )
+    return Forward(places, v, C, slow, P_prior, P, Phi, dx, int(left_out), epochs.still)
 
 
 def prepare(
@@ -292,7 +343,7 @@ def _start(t: Floats, seen: Reports, vehicle: Vehicle) -> Start:
     first = int(np.argmax(usable))
     lat, lon, height, speed, course = seen.z[first]
     variances = seen.noise[first, :, 0]
-    P = np.eye(kernels.STATES)
+    P = np.eye(STATES)
     # Wide, for the place is that of a fix which the filter reads as well, with the same error.
     P[range(3), range(3)] = 100.0 * variances[:3]
     P[range(3, 6), range(3, 6)] = 0.5**2

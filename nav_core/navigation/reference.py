@@ -7,7 +7,7 @@ import numpy as np
 from nav_core import earth
 from nav_core.kalman import predict, update
 from nav_core.navigation.inertial_gnss import Record, moved
-from nav_core.navigation.kernels import ROWS, SLOW, SLOWEST, STATES, VEHICLE, Weights
+from nav_core.navigation.states import ROWS, SLOW, SLOWEST, STATES, VEHICLE, Weights
 from nav_core.processes.transition import transition_series
 from nav_core.rotation import skew
 from nav_core.strapdown.increments import Increments

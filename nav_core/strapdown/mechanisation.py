@@ -14,8 +14,10 @@ import numpy as np
 
 from nav_core import earth
 from nav_core.errors import RangeError
+from nav_core.strapdown.cartesian_kernels import run_cartesian
 from nav_core.strapdown.increments import Increments
-from nav_core.strapdown.kernels import run_cartesian, run_local, run_wander
+from nav_core.strapdown.kernels import run_local
+from nav_core.strapdown.wander_kernels import run_wander
 from nav_core.typing import Floats, trailing
 
 Frame = Literal["i", "e", "ned", "neu", "w"]

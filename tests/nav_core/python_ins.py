@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from nav_core.navigation import Receiver, Vehicle, inertial_gnss, kernels
+from nav_core.navigation import Receiver, Vehicle, inertial_gnss
 from nav_core.navigation.inertial_gnss import Record
 from nav_core.navigation.solution import Solution
 from nav_core.rotation import matrix_to_euler, rotvec_to_matrix
@@ -72,19 +72,7 @@ def comparable(seen: World) -> Record:
 
 def run_ours(record: Record) -> Track:
     """The kernel's track."""
-    start = record.start
-    place, v, C, slow, _, P, *_ = kernels.run(
-        record.t,
-        record.increments.rotation,
-        record.increments.velocity,
-        *record.epochs,
-        record.arm,
-        record.weights,
-        start.place.copy(),
-        start.v.copy(),
-        start.C.copy(),
-        start.P.copy(),
-    )
+    place, v, C, slow, _, P, *_ = inertial_gnss.forward(record)
     solution = Solution(
         "inertial-gnss",
         False,

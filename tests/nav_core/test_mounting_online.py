@@ -11,7 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from nav_core.errors import ShapeError
 from nav_core.mounting import estimate_mounting, online_reference
-from nav_core.mounting.online import OnlineState, advance, advance_fleet, begin, stack
+from nav_core.mounting.online import OnlineState, advance, advance_fleet, begin
+from nav_core.mounting.online_hypotheses import stack
 from nav_core.mounting.online_kernel import run
 from nav_core.mounting.online_model import GYRO, HYPOTHESES, N_STATES, TURN, Filters, Tuning
 from nav_core.mounting.online_stream import Chunk, chunks_of, joined

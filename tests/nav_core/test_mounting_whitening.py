@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from nav_core.mounting.model import UNKNOWNS, Noise, pitch_plane, yaw_plane
+from nav_core.mounting.model import UNKNOWNS, Noise
+from nav_core.mounting.pitch_plane import pitch_plane
 from nav_core.mounting.stretch import blocks_of, prepare, usable_fixes
 from nav_core.mounting.whitening import Channel, echo, whiten, whiten_reference
+from nav_core.mounting.yaw_plane import yaw_plane
 from nav_core.signal import decimate
 from nav_core.simulate import Scenario, simulate
 

@@ -12,7 +12,17 @@ from nav_core.errors import RangeError, ShapeError
 from nav_core.rotation import angle_between, euler_to_matrix, matrix_to_rotvec, skew, wrap
 from nav_core.simulate import Scenario, simulate
 from nav_core.simulate.globe import on_the_globe
-from nav_core.strapdown import Increments, Navigation, Track, from_integrals, from_rates, kernels, mechanise
+from nav_core.strapdown import (
+    Increments,
+    Navigation,
+    Track,
+    cartesian_kernels,
+    from_integrals,
+    from_rates,
+    kernels,
+    mechanise,
+    wander_kernels,
+)
 from tests.nav_core import globe_motion
 from tests.oracles import strapdown as peer
 from tests.oracles import transform
@@ -227,7 +237,7 @@ def reference_local(place, v, C, rotation, velocity, T, hold):
 
 
 def reference_cartesian(r, v, C, rotation, velocity, T, frame_rate):
-    """`kernels.step_cartesian` in matrices."""
+    """`cartesian_kernels.step_cartesian` in matrices."""
     spin, frame = earth.RATE * np.array([0.0, 0.0, 1.0]), frame_rate * np.array([0.0, 0.0, 1.0])
     middle = r + 0.5 * T * (v + np.cross(spin - frame, r))
     lat, lon, height = earth.ecef_to_geodetic(middle)
@@ -269,7 +279,7 @@ def test_the_cartesian_step_agrees_with_matrices(lat, v, angles, rotation, veloc
     frame_rate = 0.0 if inertial else earth.RATE
     expected = reference_cartesian(r, v, C, rotation, velocity, T, frame_rate)
     state = r.copy(), v.copy(), C.copy()
-    kernels.step_cartesian(*state, rotation, velocity, T, frame_rate)
+    cartesian_kernels.step_cartesian(*state, rotation, velocity, T, frame_rate)
     assert np.allclose(state[0], expected[0], atol=1e-8)
     assert np.allclose(state[1], expected[1], atol=1e-11)
     assert np.allclose(state[2], expected[2], atol=1e-13)
@@ -282,7 +292,7 @@ def test_the_wander_transport_rate_is_the_local_one_without_its_vertical_part(la
     R_tw = euler_to_matrix(0.0, 0.0, azimuth)
     R_ew = earth.tangent_axes(lat, 0.3) @ R_tw
     local = earth.transport_rate(lat, 200.0, R_tw @ (100.0 * v))
-    found = kernels.wander_transport(tuple(R_ew[2]), 200.0, tuple(100.0 * v))
+    found = wander_kernels.wander_transport(tuple(R_ew[2]), 200.0, tuple(100.0 * v))
     assert np.allclose(found, R_tw.T @ (local * [1.0, 1.0, 0.0]), atol=1e-16)
     assert found[2] == 0.0
 

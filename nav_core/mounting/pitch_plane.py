@@ -1,0 +1,221 @@
+"""The pitch plane: speed, climb, slope and height, driven by longitudinal and vertical specific force.
+
+Signs and the idea are those of `nav_core.mounting.model`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from nav_core.mounting.model import (
+    ANTENNA_Y,
+    GRAVITY,
+    LEVER_X,
+    LONGEST_STEP,
+    PITCH_GAIN,
+    PITCH_UNKNOWNS,
+    ROLL_GAIN,
+    SPEED_LAG,
+    UNKNOWNS,
+    Noise,
+    first_order,
+    per_step,
+    turned,
+)
+from nav_core.mounting.stretch import (
+    Record,
+    Steps,
+    at,
+    clear_rate,
+    gps_rate,
+    integrate,
+    rough_share,
+    smoothed,
+    steps_of,
+)
+from nav_core.mounting.whitening import Channel
+from nav_core.typing import Floats
+
+# States of the pitch plane.
+V, CLIMB, SLOPE, CURVE, HEIGHT, SPEED_ERROR, HEIGHT_ERROR, TILT, DRIFT_X, DRIFT_Z = range(10)
+
+
+def pitch_system(
+    record: Record, steps: Steps, noise: Noise, change: Floats, swing: Floats, grain: Floats
+) -> tuple[Floats, ...]:
+    """Start, transition, noise and measurement rows of the pitch plane.
+
+    `change` and `swing` are the longitudinal and lateral specific force integrated over each step,
+    `grain` the density of its noise.
+    The body stands on the slope and on the bank: of the acceleration along the road none shows on
+    its vertical axis, of the lateral one the share of the bank does.
+
+    Parameters
+    ----------
+    record : Record
+        Ticks and fixes, n of them.
+    steps : Steps
+        From fix to fix.
+    noise : Noise
+        What to expect.
+    change, swing : ndarray, shape (n,)
+        V axes, m/s.
+    grain : ndarray, shape (n,)
+        (m/s²)²/Hz.
+
+    Returns
+    -------
+    P0 : ndarray, shape (10, 10)
+        Covariance of the states at the first fix: V, CLIMB, SLOPE, ... as numbered above.
+    Phi : ndarray, shape (n, 10, 10)
+        Transition over each step.
+    Q : ndarray, shape (n, 10, 10)
+        Its noise.
+    H : ndarray, shape (n, 3, 10)
+        Of speed, height, and climb by slope.
+    r : ndarray, shape (n, 3)
+        Variances; NaN where not measured.
+    """
+    fixes = record.fixes
+    count = fixes.t.size
+    elapsed = np.diff(steps.when, prepend=steps.when[:1])
+    Phi, Q = np.zeros((count, 10, 10)), np.zeros((count, 10, 10))
+    steady = (V, CLIMB, HEIGHT, DRIFT_X, DRIFT_Z)
+    Phi[:, steady, steady] = 1.0
+    Phi[:, V, DRIFT_X] = Phi[:, CLIMB, DRIFT_Z] = -steps.dt
+    Q[:, DRIFT_X, DRIFT_X] = Q[:, DRIFT_Z, DRIFT_Z] = noise.drift**2 * elapsed
+    Phi[1:, CLIMB, SLOPE] = -np.diff(fixes.speed)
+    Phi[:, CLIMB, TILT] = -swing
+    # Critically damped second-order Gauss-Markov process along the distance.
+    beta = 1.0 / noise.slope_length
+    d = steps.distance
+    decay = np.exp(-beta * d)
+    # Means of the slope over the step, per slope and per curvature at its begin: at 30 m/s and one
+    # fix a second the slope at either end would lead or lag by half a step.
+    z = np.maximum(beta * d, 1e-3)
+    of_slope = (2.0 - (2.0 + z) * np.exp(-z)) / z
+    of_curve = d * (1.0 - (1.0 + z) * np.exp(-z)) / z**2
+    Phi[:, V, SLOPE], Phi[:, V, CURVE] = -GRAVITY * steps.dt * of_slope, -GRAVITY * steps.dt * of_curve
+    Phi[:, HEIGHT, SLOPE], Phi[:, HEIGHT, CURVE] = d * of_slope, d * of_curve
+    Phi[:, SLOPE, SLOPE], Phi[:, SLOPE, CURVE] = decay * (1.0 + beta * d), decay * d
+    Phi[:, CURVE, SLOPE], Phi[:, CURVE, CURVE] = -(beta**2) * d * decay, decay * (1.0 - beta * d)
+    rest = np.diag([noise.slope**2, (beta * noise.slope) ** 2])
+    block = Phi[:, SLOPE : CURVE + 1, SLOPE : CURVE + 1]
+    Q[:, SLOPE : CURVE + 1, SLOPE : CURVE + 1] = rest - block @ rest @ np.swapaxes(block, 1, 2)
+    along = np.exp(-d / noise.bank_length)
+    Phi[:, TILT, TILT], Q[:, TILT, TILT] = along, (1.0 - along**2) * noise.bank**2
+    decay, fresh = first_order(elapsed, noise.slow_time)
+    Phi[:, SPEED_ERROR, SPEED_ERROR], Q[:, SPEED_ERROR, SPEED_ERROR] = decay, fresh * noise.speed_slow**2
+    Phi[:, HEIGHT_ERROR, HEIGHT_ERROR], Q[:, HEIGHT_ERROR, HEIGHT_ERROR] = decay, fresh * noise.height_slow**2
+    lost = np.where(steps.broken, 1e4, 0.0)
+    shaken = noise.force**2 * steps.dt + grain
+    Q[:, V, V] = shaken + (noise.relative * change) ** 2 + lost
+    Q[:, CLIMB, CLIMB] = shaken + lost
+    # Over a long gap the vehicle may have got anywhere, by a ramp, a train, or a reset of the receiver.
+    Q[:, HEIGHT, HEIGHT] = (0.02 * steps.distance) ** 2 * steps.broken + np.where(elapsed > LONGEST_STEP, 1e4, 0.0)
+    H = np.zeros((count, 3, 10))
+    H[:, 0, V] = H[:, 0, SPEED_ERROR] = 1.0
+    H[:, 1, HEIGHT] = H[:, 1, HEIGHT_ERROR] = 1.0
+    H[:, 2, CLIMB], H[:, 2, SLOPE] = 1.0, fixes.speed
+    r = np.empty((count, 3))
+    r[:, 0] = noise.speed_white**2
+    r[:, 1] = np.where(np.isfinite(fixes.alt), noise.height_white**2, np.nan)
+    r[:, 2] = noise.heave**2
+    deviations = [
+        1e2,
+        1e2,
+        noise.slope,
+        beta * noise.slope,
+        1e2,
+        noise.speed_slow,
+        noise.height_slow,
+        noise.bank,
+        0.0,
+        0.0,
+    ]
+    P0 = np.diag(np.square(deviations))
+    return P0, Phi, Q, H, r
+
+
+def road_slope(record: Record, felt: Floats, *, fine: float = 2.0, coarse: float = 60.0) -> Floats:
+    """Slope at the ticks, good enough for its square.
+
+    Parameters
+    ----------
+    record : Record
+    felt : ndarray, shape (m,)
+        Longitudinal specific force less acceleration, over gravity.
+    fine, coarse : float
+        Half widths of the means, s: the force gives the waves between them, height the rest, because
+        a bias of the force times the slope would pass for pitch.
+
+    Returns
+    -------
+    ndarray, shape (m,)
+        rad, uphill positive.
+    """
+    fixes = record.fixes
+    waves = smoothed(record, felt, fine)
+    way = np.cumsum(fixes.speed * np.diff(fixes.t, prepend=fixes.t[0]))
+    pace = gps_rate(fixes.t, way, coarse)
+    rise = np.where(pace > 2.0, gps_rate(fixes.t, fixes.alt, coarse) / np.maximum(pace, 2.0), 0.0)
+    return waves - smoothed(record, waves, coarse) + np.interp(record.t, fixes.t, rise)
+
+
+def pitch_plane(record: Record, R_va: Floats, lag: float, noise: Noise) -> Channel:
+    """Speed, climb and height against longitudinal and vertical specific force.
+
+    Parameters
+    ----------
+    record : Record
+    R_va : ndarray, shape (3, 3)
+        Present estimate; the unknown turn is a small rotation about its V axes.
+    lag : float
+        Present estimate of the lag of GPS speed, s.
+    noise : Noise
+
+    Returns
+    -------
+    Channel
+        Measurements: GPS speed, GPS height, and "climb is speed times slope".
+    """
+    steps = steps_of(record, lag)
+    frame = turned(record, R_va, lag)
+    c = 1 + UNKNOWNS
+    fixes = record.fixes
+    acceleration = gps_rate(fixes.t, fixes.speed)
+    pushed = np.interp(record.t + lag, fixes.t, acceleration)
+    quadratic = np.column_stack([pushed**2, frame.lateral**2]) / GRAVITY
+    slope = road_slope(record, (frame.f[:, 0] - pushed) / GRAVITY)
+    felt = np.column_stack([frame.f, quadratic, frame.w**2, 0.5 * GRAVITY * slope**2, record.density])
+    total = per_step(at(record, steps.when, integrate(record, felt)), steps.broken)
+    U = np.zeros((steps.when.size, 2, c))
+    keep = 1.0 - noise.pitch_gain[0]
+    U[:, 0, 0] = keep * total[:, 0] + noise.lever[0] * total[:, 5]
+    U[:, 0, 1 + 1], U[:, 0, 1 + 2] = keep * total[:, 2], -keep * total[:, 1]
+    U[:, 0, 1 + 3] = -steps.dt
+    change = clear_rate(fixes.t, fixes.speed, noise.speed_white)
+    U[:, 0, 1 + PITCH_GAIN] = -change * steps.dt
+    U[:, 0, 1 + LEVER_X] = total[:, 5]
+    U[:, 1, 0] = (
+        total[:, 2]
+        + GRAVITY * steps.dt
+        - noise.pitch_gain[0] * total[:, 3]
+        - noise.roll_gain[0] * total[:, 4]
+        - total[:, 6]
+    )
+    U[:, 1, 1 + 0], U[:, 1, 1 + 1] = total[:, 1], -total[:, 0]
+    U[:, 1, 1 + 5] = -steps.dt
+    U[:, 1, 1 + PITCH_GAIN], U[:, 1, 1 + ROLL_GAIN] = -total[:, 3], -total[:, 4]
+    P0, Phi, Q, H, r = pitch_system(record, steps, noise, total[:, 0], total[:, 1], total[:, 7])
+    Y = np.zeros((steps.when.size, 3, c))
+    Y[:, 0, 0], Y[:, 1, 0] = fixes.speed, np.nan_to_num(fixes.alt)
+    Y[:, 0, 1 + SPEED_LAG] = change
+    Y[:, 0, 1 + ANTENNA_Y] = at(record, steps.when, frame.w)
+    x0 = np.zeros(10)
+    x0[V] = fixes.speed[0]
+    x0[HEIGHT] = Y[0, 1, 0]
+    columns = np.concatenate([[0], 1 + PITCH_UNKNOWNS])
+    grain = np.repeat((total[:, 7] * rough_share(steps.dt))[:, None], 2, axis=1)
+    inputs, values = U[:, :, columns], Y[:, :, columns]
+    return Channel(x0, P0, Phi, Q, np.array([V, CLIMB]), inputs, grain, H, values, r, np.zeros(3), PITCH_UNKNOWNS)

@@ -1,0 +1,147 @@
+"""The yaw plane: course and bank, driven by lateral specific force.
+
+Signs and the idea are those of `nav_core.mounting.model`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from nav_core.mounting.model import (
+    ANTENNA_X,
+    COURSE_LAG,
+    FLOOR_SPEED,
+    GRAVITY,
+    LEVER_X,
+    LONGEST_STEP,
+    ROLL_GAIN,
+    UNKNOWNS,
+    YAW_UNKNOWNS,
+    Noise,
+    first_order,
+    per_step,
+    turned,
+)
+from nav_core.mounting.stretch import Fixes, Record, Steps, at, clear_rate, integrate, rough_share, steps_of, unrolled
+from nav_core.mounting.whitening import Channel
+from nav_core.typing import Flags, Floats
+
+
+def yaw_plane(record: Record, R_va: Floats, lags: tuple[float, float], noise: Noise) -> Channel:
+    """Course against lateral specific force; see `pitch_plane`.
+
+    Parameters
+    ----------
+    record : Record
+    R_va : ndarray, shape (3, 3)
+    lags : tuple of float
+        Present estimates of the lags of GPS speed and course, s.
+    noise : Noise
+
+    Returns
+    -------
+    Channel
+        Measurement: GPS course.  States: course, bank, slow error of lateral velocity, drift of the bias.
+    """
+    steps = steps_of(record, lags[1])
+    frame = turned(record, R_va, lags[0])
+    c = 1 + UNKNOWNS
+    inverse = frame.inverse_speed
+    inputs = np.column_stack([frame.f * inverse[:, None], inverse, record.density * inverse**2])
+    total = per_step(at(record, steps.when, integrate(record, inputs)), steps.broken)
+    w = at(record, steps.when, frame.w)
+    inverse_now = at(record, steps.when, inverse)
+    spin = per_step(w, steps.broken) * inverse_now
+    elapsed = np.diff(steps.when, prepend=steps.when[:1])
+    keep = 1.0 - noise.roll_gain[0]
+    U = np.zeros((steps.when.size, 1, c))
+    U[:, 0, 0] = keep * total[:, 1] - noise.lever[0] * spin
+    U[:, 0, 1 + 0], U[:, 0, 1 + 2] = -keep * total[:, 2], keep * total[:, 0]
+    U[:, 0, 1 + 4] = -total[:, 3]
+    course_noise = noise.across_white / np.maximum(record.fixes.speed, FLOOR_SPEED)
+    turn_rate = clear_rate(record.fixes.t, unrolled(record.fixes.course), course_noise)
+    U[:, 0, 1 + ROLL_GAIN] = -turn_rate * steps.dt
+    U[:, 0, 1 + LEVER_X] = -spin
+    lost = steps.broken | (elapsed > LONGEST_STEP)
+    P0, Phi, Q, H, r = yaw_system(record.fixes, steps, noise, total[:, 1], total[:, 3], total[:, 4], lost)
+    Y = np.zeros((steps.when.size, 1, c))
+    # Ahead of the point that does not slip, the track points into the turn.
+    Y[:, 0, 0] = np.nan_to_num(record.fixes.course) - noise.lever[0] * w * inverse_now
+    Y[:, 0, 1 + COURSE_LAG] = w
+    Y[:, 0, 1 + LEVER_X] = Y[:, 0, 1 + ANTENNA_X] = -w * inverse_now
+    columns = np.concatenate([[0], 1 + YAW_UNKNOWNS])
+    return Channel(
+        np.zeros(4),
+        P0,
+        Phi,
+        Q,
+        np.array([0]),
+        U[:, :, columns],
+        (total[:, 4] * rough_share(steps.dt))[:, None],
+        H,
+        Y[:, :, columns],
+        r,
+        np.array([2.0 * np.pi]),
+        YAW_UNKNOWNS,
+    )
+
+
+def yaw_system(
+    fixes: Fixes, steps: Steps, noise: Noise, change: Floats, inverse: Floats, grain: Floats, lost: Flags
+) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+    """Start, transition, noise and measurement rows of the yaw plane.
+
+    `change` is the turn that the lateral force makes in each step, `inverse` one over the speed,
+    integrated, `grain` the noise of that turn in rad²; where the course is `lost`, or too slow to
+    follow, the thread begins anew.
+
+    Parameters
+    ----------
+    fixes : Fixes
+        n of them.
+    steps : Steps
+        From fix to fix.
+    noise : Noise
+        What to expect.
+    change : ndarray, shape (n,)
+        rad.
+    inverse : ndarray, shape (n,)
+        s²/m.
+    grain : ndarray, shape (n,)
+        rad².
+    lost : ndarray of bool, shape (n,)
+        Where the thread begins anew.
+
+    Returns
+    -------
+    P0 : ndarray, shape (4, 4)
+        Covariance of course, bank, slow error of the course (m/s) and lateral bias drift (m/s²).
+    Phi : ndarray, shape (n, 4, 4)
+        Transition over each step.
+    Q : ndarray, shape (n, 4, 4)
+        Its noise.
+    H : ndarray, shape (n, 1, 4)
+        Of the course.
+    r : ndarray, shape (n, 1)
+        Variance, rad²; NaN where not measured.
+    """
+    count = fixes.t.size
+    Phi, Q = np.zeros((count, 4, 4)), np.zeros((count, 4, 4))
+    Phi[:, 0, 0] = Phi[:, 3, 3] = 1.0
+    Phi[:, 0, 3] = -inverse
+    z = np.maximum(steps.distance / noise.bank_length, 1e-6)
+    along = np.exp(-z)
+    Phi[:, 0, 1] = -GRAVITY * inverse * (1.0 - along) / z
+    Phi[:, 1, 1], Q[:, 1, 1] = along, (1.0 - along**2) * noise.bank**2
+    elapsed = np.diff(steps.when, prepend=steps.when[:1])
+    Q[:, 3, 3] = noise.drift**2 * elapsed
+    decay, fresh = first_order(elapsed, noise.slow_time)
+    Phi[:, 2, 2], Q[:, 2, 2] = decay, fresh * noise.across_slow**2
+    slack = np.where(steps.dt > 0.0, inverse**2 / np.maximum(steps.dt, 1e-3), 0.0)
+    anew = np.where(lost | np.isnan(fixes.course), 100.0, 0.0)
+    Q[:, 0, 0] = noise.force**2 * slack + grain + (noise.relative_turn * change) ** 2 + anew
+    now = 1.0 / np.maximum(fixes.speed, FLOOR_SPEED)
+    H = np.zeros((count, 1, 4))
+    H[:, 0, 0], H[:, 0, 2] = 1.0, now
+    r = np.where(np.isfinite(fixes.course), (noise.across_white * now) ** 2 + 1e-6, np.nan)[:, None]
+    return np.diag([100.0, noise.bank**2, noise.across_slow**2, 0.0]), Phi, Q, H, r
