@@ -45,12 +45,14 @@ bench-moved: setup  ## False and missed alarms of a moved box, 3000 h (hours to 
 # Kernels show their lines to no tracer once compiled: the tests that compare them with plain code run again without.
 KERNELS := agree or compiled or matrices or kernel or plain or one_by_one or filterpy or digits or double_sum or whole_record \
   or order_of_the_rule or halves or rest_stays or left_out or straight
+# Whole drives take minutes each without the compiler, and reach no line that these do not.
+DRIVES := mounting_trouble or mounting_real or whole_drive or mounting_fusion or two_phase or no_alarm or lasting_one or crash
 COVER := $(BIN)/python -m pytest tests/nav_core -n $(PYTEST_WORKERS) -m "not slow" --cov=nav_core --cov-config=/dev/null \
   --cov-report=
 
 coverage: setup  ## Lines of nav_core that its tests reach, at least 97 %; slow tests left out
 	COVERAGE_FILE=.coverage.compiled $(COVER)
-	NUMBA_DISABLE_JIT=1 COVERAGE_FILE=.coverage.plain $(COVER) -k "$(KERNELS)"
+	NUMBA_DISABLE_JIT=1 COVERAGE_FILE=.coverage.plain $(COVER) -k "($(KERNELS)) and not ($(DRIVES))"
 	$(BIN)/coverage combine --rcfile=/dev/null .coverage.compiled .coverage.plain
 	$(BIN)/coverage report --rcfile=/dev/null --skip-covered --show-missing --fail-under=97
 

@@ -260,3 +260,15 @@ def test_the_mounting_of_the_same_drive_will_do():
     )
     (event,) = [each for each in reconstruct_drive(drive, estimate_mounting(drive)) if each.severe]
     assert event.delta_v.resultant.low <= truth.events[0].resultant <= event.delta_v.resultant.high
+
+
+def test_one_crash_of_the_benchmark_knows_its_truth():
+    outcome = crash(3)
+    assert outcome.found
+    assert abs(outcome.delta_v_error) < 0.2
+    assert abs(outcome.pdof_error_deg) < 10.0
+    assert {outcome.covers(name) for name in ("delta_v", "pdof", "speed")} <= {True, False}
+    quiet = ordinary(2, minutes=3.0)
+    assert quiet.hours == pytest.approx(0.05)
+    assert sum(quiet.shocks.values()) > 0
+    assert quiet.alarms == ()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -48,3 +50,26 @@ def test_braking_shows_alike_in_forces_and_fixes(drive):
     assert np.abs(seen - expected).max() < 3.0
     assert added[:, 0].min() < -0.4 * G
     assert added[:, 0].min() > -1.6 * G
+
+
+def test_a_standing_box_gets_doors_and_drops_and_a_moving_one_kerbs_and_swerves():
+    standing, still = simulate(Scenario(route="static", duration=240.0, accel_rate=100.0), seed=8)
+    often = replace(NONE, door_slam=60.0, drop=60.0)
+    rough, shocks = shaken(standing, still, full_scale=8.0 * G, rates=often, rng=np.random.default_rng(4))
+    assert {shock.name for shock in shocks} == {"door_slam", "drop"}
+    size = np.linalg.norm(rough.inertial.f, axis=1)
+    for drop in (shock.t for shock in shocks if shock.name == "drop"):
+        # It falls freely for a while, and gets up again as it was.
+        falling = (standing.inertial.t > drop) & (standing.inertial.t < drop + 4.0)
+        assert size[falling].min() < 0.25 * G
+        assert size[falling].max() > 2.0 * G
+    calm = np.ones(size.size, dtype=bool)
+    for shock in shocks:
+        calm &= (standing.inertial.t < shock.t) | (standing.inertial.t > shock.t + 30.0)
+    assert np.array_equal(rough.inertial.f[calm], standing.inertial.f[calm])
+
+    moving, driven = simulate(Scenario(route="urban", duration=240.0, accel_rate=100.0), seed=8)
+    often = replace(NONE, kerb=60.0, swerve=60.0, speed_bump=60.0)
+    rough, shocks = shaken(moving, driven, full_scale=8.0 * G, rates=often, rng=np.random.default_rng(4))
+    assert {shock.name for shock in shocks} == {"kerb", "swerve", "speed_bump"}
+    assert np.abs(rough.inertial.f - moving.inertial.f).max() > G
