@@ -107,6 +107,36 @@ FLIPS = (
         "x[k] -= C @ (x[k + 1] - x_prior[k + 1])",
         "test_kalman.py::test_filterpy_smooths_the_same",
     ),
+    Flip(
+        "mounting/online_prediction.py",
+        "F[TRACK, BANK], F[TRACK, BIAS + 1] = -GRAVITY * row[PER_SPEED], -row[PER_SPEED]",
+        "F[TRACK, BANK], F[TRACK, BIAS + 1] = -GRAVITY * row[PER_SPEED], row[PER_SPEED]",
+        "test_mounting_online.py::test_the_kernel_agrees_with_the_matrices",
+    ),
+    Flip(
+        "mounting/online_measurements.py",
+        "nu -= h[k] * x[columns[k]]",
+        "nu += h[k] * x[columns[k]]",
+        "test_mounting_online.py::test_the_kernel_agrees_with_the_matrices",
+    ),
+    Flip(
+        "crash/pulse.py",
+        "q = rotvec_to_quaternion(middle * step)",
+        "q = rotvec_to_quaternion(-middle * step)",
+        "test_crash_pulse.py::test_a_blow_that_turns_the_vehicle_is_integrated_in_the_axes_at_time_zero",
+    ),
+    Flip(
+        "navigation/inertial_gnss.py",
+        "smooth_backwards(-run.dx, run.P_prior",
+        "smooth_backwards(run.dx, run.P_prior",
+        "test_navigation_inertial_gnss.py::test_smoothing_helps_and_claims_less_uncertainty",
+    ),
+    Flip(
+        "navigation/inertial_gnss.py",
+        "            -e[:, 2],",
+        "            e[:, 2],",
+        "test_navigation_inertial_gnss.py::test_a_track_is_moved_as_the_kernel_moves_an_epoch",
+    ),
 )
 
 

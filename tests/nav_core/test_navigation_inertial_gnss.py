@@ -9,7 +9,7 @@ import pytest
 
 from nav_core.errors import RangeError, ShapeError, TooLittleDataError
 from nav_core.kalman import normalised
-from nav_core.navigation import NoGyroError, Receiver, Vehicle, inertial_gnss, navigate, reference, rows
+from nav_core.navigation import NoGyroError, Receiver, Vehicle, inertial_gnss, kernels, navigate, reference, rows
 from nav_core.records import Inertial
 from nav_core.rotation import matrix_to_euler, rotvec_to_matrix
 from tests.nav_core import python_ins
@@ -47,6 +47,19 @@ def test_the_slip_free_point_is_where_the_arm_says():
     rows.slip_rows(v, C, tuple(spin), arm, Vehicle().weights(Receiver()), e, H, s, r)
     assert e[5:7] == pytest.approx(np.zeros(2), abs=1e-12)
     assert np.abs((C.T @ v)[1:]).max() > 0.5
+
+
+def test_a_track_is_moved_as_the_kernel_moves_an_epoch():
+    rng = np.random.default_rng(5)
+    places = np.column_stack((rng.uniform(-1.0, 1.0, 4), rng.uniform(-3.0, 3.0, 4), rng.uniform(0.0, 900.0, 4)))
+    v, slow, e = rng.normal(0.0, 9.0, (4, 3)), rng.normal(0.0, 0.1, (4, 11)), 0.1 * rng.standard_normal((4, 20))
+    C = rotvec_to_matrix(rng.standard_normal((4, 3)))
+    found = inertial_gnss.moved(places, v, C, slow, e)
+    for k in range(4):
+        one = places[k].copy(), v[k].copy(), C[k].copy(), slow[k].copy()
+        kernels.apply(*one, e[k])
+        for ours, kernel in zip(found, one, strict=True):
+            assert ours[k] == pytest.approx(kernel, rel=1e-12, abs=1e-13)
 
 
 @pytest.mark.slow
