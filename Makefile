@@ -56,8 +56,9 @@ coverage: setup  ## Lines of nav_core that its tests reach, at least 97 %; slow 
 	$(BIN)/coverage combine --rcfile=/dev/null .coverage.compiled .coverage.plain
 	$(BIN)/coverage report --rcfile=/dev/null --skip-covered --show-missing --fail-under=97
 
-thesis-figures: setup  ## The thesis' figures and tables in kind: docs/thesis-results.md
+thesis-figures: setup  ## The theses' figures and tables in kind: docs/thesis-results.md, docs/img
 	$(BIN)/python benchmarks/thesis_figures.py
+	$(BIN)/python scripts/figures.py docs/img
 
 vendor: node_modules/ready  ## Copy the pinned front-end libraries into web/vendor
 	node scripts/vendor.mjs

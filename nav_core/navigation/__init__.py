@@ -3,7 +3,7 @@
 ``inertial_gnss`` is the filter of the product, 15 error states and 5 of the receiver, with smoothing and the
 constraints of a wheeled vehicle; ``position_velocity`` is the 12-state filter of 000 §7.7.2, which needs no gyro;
 ``outage`` finds and judges the stretches without GPS.  ``fixes`` says which fixes to believe, ``epochs`` lays out the
-record, ``kernels`` holds the compiled filter and ``reference`` the same in matrices.
+record, ``kernels`` holds the compiled filter with its ``rows`` and ``gates``, and ``reference`` the same in matrices.
 """
 
 from nav_core.navigation.fixes import Receiver
