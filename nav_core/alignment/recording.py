@@ -14,7 +14,7 @@ from nav_core.earth import STANDARD_GRAVITY, MagneticField, gravity
 from nav_core.errors import TooLittleDataError
 from nav_core.kalman import gate
 from nav_core.records import Inertial, Reason
-from nav_core.sensors import interval_means, static_intervals
+from nav_core.sensors.statics import interval_means, static_intervals
 from nav_core.typing import Floats
 
 RESTLESS = 0.5
