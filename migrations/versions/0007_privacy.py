@@ -1,7 +1,7 @@
 """Retention rules, orders of erasure, tombstones; the audit log lets go of what its rule no longer keeps.
 
 Revision ID: 0007
-Revises: 0010
+Revises: 0006
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Alerts with rules, channels and their outbox; theft watches, accident claims, diagnosis values.
 
 Revision ID: 0008
-Revises: 0010
+Revises: 0007
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Boxes whose work keeps failing, and re-runs of events by another version.
 
 Revision ID: 0009
-Revises: 0005
+Revises: 0008
 """
 
 from __future__ import annotations

@@ -102,7 +102,7 @@ def project(P: Floats, h: Floats, Ph: Floats) -> None:
     h : ndarray, shape (n,)
         Measurement row.
     Ph : ndarray, shape (n,)
-        Overwritten: covariance of the states with the measurement.
+        Covariance of the states with the measurement; overwritten.
     """
     n = P.shape[0]
     Ph[:] = 0.0
@@ -136,18 +136,22 @@ def projected(P: Floats, h: Floats) -> Floats:
 
 @kernel
 def joseph(P: Floats, Ph: Floats, h: Floats, r: float, gain: Floats, rest: Floats) -> None:
-    """`joseph_scalar` of a known ``P h``, without making `P` exactly symmetric.
+    """`joseph_scalar` of a known ``P h``, without making `P` exactly symmetric; `rest` is room for n numbers.
 
     Parameters
     ----------
     P : ndarray, shape (n, n)
         Covariance; overwritten.
-    Ph, h, gain : ndarray, shape (n,)
-        ``P h``, the measurement row, k.
+    Ph : ndarray, shape (n,)
+        Of `project`.
+    h : ndarray, shape (n,)
+        Measurement row.
     r : float
         Variance of the measurement's noise.
+    gain : ndarray, shape (n,)
+        k.
     rest : ndarray, shape (n,)
-        Room to work in.
+        Overwritten.
     """
     n = P.shape[0]
     for i in range(n):
@@ -186,14 +190,24 @@ def joseph_scalar(P: Floats, h: Floats, r: float, gain: Floats) -> None:
 
 @kernel
 def fold(dx: Floats, P: Floats, residual: float, h: Floats, r: float, gate: float, room: Floats) -> float:
-    """`update_scalar` without making `P` exactly symmetric.
+    """`update_scalar` without making `P` exactly symmetric; `room` is for three times n numbers.
 
     Parameters
     ----------
-    dx, P, residual, h, r, gate
-        As in `update_scalar`.
+    dx : ndarray, shape (n,)
+        Correction so far; changed.
+    P : ndarray, shape (n, n)
+        Covariance; changed.
+    residual : float
+        Measurement minus its prediction, both before any correction.
+    h : ndarray, shape (n,)
+        Measurement row.
+    r : float
+        Variance of the measurement's noise.
+    gate : float
+        On the squared normalised innovation.
     room : ndarray, shape (3, n)
-        Room to work in.
+        Overwritten.
 
     Returns
     -------

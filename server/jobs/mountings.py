@@ -52,11 +52,12 @@ log = structlog.stdlib.get_logger("scatola.jobs")
 
 @dataclass(slots=True)
 class Sources:
-    """Where stored data comes from: pieces between two UTC times, and an installation's newest revision, if asked
-    for of those whose data ends before a moment."""
+    """Where stored data comes from."""
 
     pieces: Callable[[float, float], list[Piece]]
+    """Between two UTC times."""
     last_revision: Callable[[str, dt.datetime | None], MountingRevision | None]
+    """An installation's newest, of those whose data ends before a moment if one is given."""
 
 
 class Mountings:
