@@ -8,8 +8,10 @@ from collections.abc import Collection, Sequence
 from sqlalchemy import func, or_, select, tuple_
 from sqlalchemy.orm import Session
 
+from server.alerts.schemas import TheftOut
 from server.errors import NotFoundError
 from server.models import Alert, AlertChannel, AlertDelivery, AlertRule, DeliveryAttempt, GeofencePresence, TheftWatch
+from server.vehicles.queries import vehicle_of
 
 
 def rules(session: Session, organisation_id: str) -> Sequence[AlertRule]:
@@ -145,3 +147,17 @@ def waiting_count(session: Session, organisation_id: str) -> int:
     """Alerts that nobody acknowledged."""
     wanted = select(func.count()).select_from(Alert)
     return session.scalar(wanted.where(Alert.organisation_id == organisation_id, Alert.acknowledged_at.is_(None))) or 0
+
+
+def theft(session: Session, organisation_id: str, vehicle_id: str) -> TheftOut:
+    """How a vehicle is watched."""
+    vehicle_of(session, organisation_id, vehicle_id)
+    watch = watch_of(session, vehicle_id)
+    by_ignition = any(rule.kind == "theft" for rule in rules_on(session, organisation_id, vehicle_id))
+    return TheftOut(
+        vehicle_id=vehicle_id,
+        armed_at=None if watch is None else watch.armed_at,
+        armed_by=None if watch is None else watch.armed_by,
+        armed_by_ignition=by_ignition,
+        alarm_at=None if watch is None else watch.alarm_at,
+    )

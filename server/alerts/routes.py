@@ -243,7 +243,7 @@ def replay(delivery_id: Id, caller: Administrator, database: DatabaseOf, now: No
 def read_theft(vehicle_id: Id, caller: Reader, database: DatabaseOf) -> TheftOut:
     """How a vehicle is watched."""
     with database.reading() as session:
-        return service.theft(session, caller.organisation_id, vehicle_id)
+        return queries.theft(session, caller.organisation_id, vehicle_id)
 
 
 @router.put("/vehicles/{vehicle_id}/theft")
@@ -252,7 +252,7 @@ def put_theft(vehicle_id: Id, wanted: TheftIn, caller: Administrator, database: 
     with database.transaction() as session:
         service.arm(session, caller.organisation_id, vehicle_id, armed=wanted.armed, actor=caller.name, now=now)
         session.flush()
-        return service.theft(session, caller.organisation_id, vehicle_id)
+        return queries.theft(session, caller.organisation_id, vehicle_id)
 
 
 def rule_out(row: AlertRule) -> RuleOut:

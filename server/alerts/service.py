@@ -10,7 +10,7 @@ from sqlalchemy.orm import Session
 from server.accounts.secrets import new_token
 from server.alerts import queries
 from server.alerts.raising import recover
-from server.alerts.schemas import COOLDOWN_S, ChannelIn, ChannelMade, EmailIn, RuleIn, TheftOut, WebhookIn
+from server.alerts.schemas import COOLDOWN_S, ChannelIn, ChannelMade, EmailIn, RuleIn, WebhookIn
 from server.alerts.webhook import Guard, check_url
 from server.errors import ConflictError, InvalidError
 from server.live.changes import announce
@@ -152,20 +152,6 @@ def replay_all(session: Session, organisation_id: str, channel_id: str, *, now: 
 
 def _revive(row: AlertDelivery, now: dt.datetime) -> None:
     row.state, row.attempts, row.due_at, row.finished_at = "waiting", 0, now, None
-
-
-def theft(session: Session, organisation_id: str, vehicle_id: str) -> TheftOut:
-    """How a vehicle is watched."""
-    vehicle_of(session, organisation_id, vehicle_id)
-    watch = queries.watch_of(session, vehicle_id)
-    by_ignition = any(rule.kind == "theft" for rule in queries.rules_on(session, organisation_id, vehicle_id))
-    return TheftOut(
-        vehicle_id=vehicle_id,
-        armed_at=None if watch is None else watch.armed_at,
-        armed_by=None if watch is None else watch.armed_by,
-        armed_by_ignition=by_ignition,
-        alarm_at=None if watch is None else watch.alarm_at,
-    )
 
 
 def arm(session: Session, organisation_id: str, vehicle_id: str, *, armed: bool, actor: str, now: dt.datetime) -> None:

@@ -9,8 +9,8 @@ from zoneinfo import ZoneInfo
 
 from sqlalchemy.orm import Session
 
+from server.alerts.queries import theft
 from server.alerts.schemas import TheftOut
-from server.alerts.service import theft
 from server.diagnosis.queries import newest
 from server.models import Diagnosis
 from server.statistics.queries import periods, score
