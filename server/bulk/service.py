@@ -9,7 +9,7 @@ from __future__ import annotations
 import datetime as dt
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, Literal, get_args
+from typing import Any, Literal, TypeAlias, get_args
 
 import numpy as np
 import orjson
@@ -26,7 +26,8 @@ from server.store import BlobStore
 Kind = Literal["tracks", "events", "samples"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
 
-Table, Schema = Any, Any
+Table: TypeAlias = Any
+Schema: TypeAlias = Any
 """Of pyarrow, which ships no types."""
 
 GROUP_ROWS = 100_000
