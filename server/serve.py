@@ -61,7 +61,7 @@ def serve(
             children = [*_children(app), *more_children(url)]
             supervisor = Supervisor(children)
             app.state.wake = app.state.wake_burst = supervisor.wake
-            stack.callback(supervisor.stop, _FINISH_CHILDREN_S)
+            stack.callback(supervisor.stop, max(1.0, _FINISH_CHILDREN_S - settings.drain_s))
             supervisor.start()
             app.state.readiness.helpers["worker"] = lambda: None if supervisor.alive()["worker"] else "does not run"
         else:

@@ -58,7 +58,7 @@ class Settings(BaseSettings):
     max_decoded_bytes: int = Field(default=64 * 1024 * 1024, gt=0)
     device_requests_per_minute: int = Field(default=600, gt=0)
     device_bytes_per_day: int = Field(default=2 * 1024**3, gt=0)
-    drain_seconds: float | None = Field(default=None, ge=0, le=8)
+    drain_seconds: float | None = Field(default=None, ge=0, le=6)
     metrics_port: int | None = Field(default=None, ge=0, le=65535)
     metrics_host: str = "127.0.0.1"
     otlp_endpoint: str | None = None

@@ -7,9 +7,9 @@ group, however much is taken out.  A file that was cut short has no footer, and 
 from __future__ import annotations
 
 import datetime as dt
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, Literal, get_args
+from typing import Any, Literal, TypeAlias, get_args
 
 import numpy as np
 import orjson
@@ -25,6 +25,10 @@ from server.store import BlobStore
 
 Kind = Literal["tracks", "events", "samples"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
+
+Table: TypeAlias = Any
+Schema: TypeAlias = Any
+"""Of pyarrow, which ships no types."""
 
 GROUP_ROWS = 100_000
 _PAGE = 500
@@ -111,10 +115,10 @@ class _Sink:
         return data
 
 
-def _parquet(schema: pa.Schema, tables: Iterator[pa.Table], notes: dict[str, str]) -> Iterator[bytes]:
+def _parquet(schema: Schema, tables: Iterator[Table], notes: dict[str, str]) -> Iterator[bytes]:
     sink = _Sink()
     with pq.ParquetWriter(pa.PythonFile(sink, mode="w"), schema, compression="zstd") as writer:
-        waiting: list[pa.Table] = []
+        waiting: list[Table] = []
         for table in tables:
             waiting.append(table)
             if sum(each.num_rows for each in waiting) >= GROUP_ROWS:
@@ -127,7 +131,7 @@ def _parquet(schema: pa.Schema, tables: Iterator[pa.Table], notes: dict[str, str
     yield sink.take()
 
 
-def _rows(schema: pa.Schema, rows: list[dict[str, Any]]) -> pa.Table:
+def _rows(schema: Schema, rows: list[dict[str, Any]]) -> Table:
     return pa.Table.from_pylist(rows, schema=schema)
 
 
@@ -153,7 +157,7 @@ def _within(query: Any, wanted: Wanted, device: Any, moment: Any) -> Any:
     return query if wanted.until is None else query.where(moment < wanted.until)
 
 
-def _tracks(database: Database, wanted: Wanted) -> Iterator[pa.Table]:
+def _tracks(database: Database, wanted: Wanted) -> Iterator[Table]:
     query = _within(select(Trip), wanted, Trip.device_id, Trip.began_at)
     for page in _pages(database, query, Trip.began_at, Trip.id):
         for trip in page:
@@ -172,7 +176,7 @@ def _tracks(database: Database, wanted: Wanted) -> Iterator[pa.Table]:
                 yield _rows(TRACKS, rows)
 
 
-def _events(database: Database, wanted: Wanted) -> Iterator[pa.Table]:
+def _events(database: Database, wanted: Wanted) -> Iterator[Table]:
     query = _within(select(Event).where(Event.withdrawn_at.is_(None)), wanted, Event.device_id, Event.at)
     for page in _pages(database, query, Event.at, Event.id):
         yield _rows(EVENTS, [_event(event) for event in page])
@@ -191,7 +195,7 @@ def _event(event: Event) -> dict[str, Any]:
     }
 
 
-def _samples(database: Database, store: BlobStore, wanted: Wanted, notes: dict[str, str]) -> Iterator[pa.Table]:
+def _samples(database: Database, store: BlobStore, wanted: Wanted, notes: dict[str, str]) -> Iterator[Table]:
     skipped = 0
     with database.reading() as session:
         query = select(Device.id).order_by(Device.id)
@@ -211,21 +215,23 @@ def _samples(database: Database, store: BlobStore, wanted: Wanted, notes: dict[s
     notes["batches_without_data"] = str(skipped)
 
 
-def _batch(store: BlobStore, batch: Batch, boot: Boot | None) -> pa.Table | None:
+def _batch(store: BlobStore, batch: Batch, boot: Boot | None) -> Table | None:
     """A batch's rows; None when its raw data are gone or damaged."""
     try:
         columns = Columns.from_parquet(store.get(batch.blob_key))
     except (KeyError, ProblemError):
         return None
     rows = columns.rows
-    same: Callable[[str], pa.Array] = lambda word: pa.DictionaryArray.from_arrays(  # noqa: E731
-        np.zeros(rows, dtype=np.int32), pa.array([word])
-    )
     t = columns.values["t"]
     unix_s = pa.nulls(rows, pa.float64()) if boot is None else pa.array(boot.utc_offset_s + (1.0 + boot.utc_drift) * t)
     values = [
         pa.array(columns.values[name], from_pandas=True) if name in columns.values else pa.nulls(rows, pa.float64())
         for name in NAMES
     ]
-    words = [same(word) for word in (batch.device_id, batch.id, batch.stream, batch.boot)]
+    words = [_same(word, rows) for word in (batch.device_id, batch.id, batch.stream, batch.boot)]
     return pa.Table.from_arrays([*words, unix_s, *values], schema=SAMPLES)
+
+
+def _same(word: str, rows: int) -> Any:
+    """A column of one word."""
+    return pa.DictionaryArray.from_arrays(np.zeros(rows, dtype=np.int32), pa.array([word]))

@@ -71,7 +71,7 @@ class Serving:
 
     def ready(self) -> bool:
         try:
-            return httpx.get(f"{self.url}/readyz").status_code == 200
+            return httpx.get(f"{self.url}/readyz", timeout=30).status_code == 200
         except httpx.TransportError:
             return False
 
@@ -80,7 +80,9 @@ class Serving:
 
     def device(self) -> str:
         headers = {"Authorization": f"Bearer {ADMIN}"}
-        return httpx.post(f"{self.url}/api/v1/devices", json={"name": "box"}, headers=headers).json()["token"]
+        return httpx.post(f"{self.url}/api/v1/devices", json={"name": "box"}, headers=headers, timeout=30).json()[
+            "token"
+        ]
 
 
 @pytest.fixture
@@ -103,7 +105,7 @@ def test_an_upload_is_followed_through_log_trace_and_figures(serving, collector)
     service = serving(SCATOLA_OTLP_ENDPOINT=endpoint, OTEL_BSP_SCHEDULE_DELAY="200")
     token = service.device()
     headers = {"Authorization": f"Bearer {token}", "Idempotency-Key": "secret-boot/0", "X-Request-ID": "upload-1"}
-    httpx.post(f"{service.url}/api/v1/batches", json=BATCH, headers=headers).raise_for_status()
+    httpx.post(f"{service.url}/api/v1/batches", json=BATCH, headers=headers, timeout=30).raise_for_status()
     # What a log must not hold: tokens in every place where one may turn up, codes, cookies, a body.
     with httpx.Client(base_url=service.url, timeout=30) as browser:
         cookie = browser.post("/api/v1/auth/session", json={"code": ADMIN}).cookies["scatola_session"]
@@ -129,11 +131,11 @@ def test_an_upload_is_followed_through_log_trace_and_figures(serving, collector)
     assert {("scatola-api", name) for name in ("decode", "store blob", "commit row")} < names
 
     def counted() -> bool:
-        figures = httpx.get(f"{service.url}/metrics").text
+        figures = httpx.get(f"{service.url}/metrics", timeout=30).text
         return 'scatola_jobs_total{outcome="done",queue="devices"}' in figures and "scatola_due_batches 0.0" in figures
 
     eventually(counted, within_s=30, what="the API shows what the worker counted")
-    figures = httpx.get(f"{service.url}/metrics").text
+    figures = httpx.get(f"{service.url}/metrics", timeout=30).text
     assert "scatola_batch_readings_total 2.0" in figures
     assert 'scatola_job_batches_total{outcome="done"} 1.0' in figures
     told = service.log.read_text() + figures + "".join(text for *_, text in spans)

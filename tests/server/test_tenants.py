@@ -549,6 +549,19 @@ def test_an_administrator_reaches_nothing_of_another_organisation(app, client, t
     assert everything(tenants.database, own_organisation) == before
 
 
+def test_replaying_and_re_running_all_means_ones_own(admin, tenants):
+    mine, theirs = tenants.mine, tenants.theirs
+    assert [row["device_id"] for row in admin.get("/api/v1/jobs/failures").json()["items"]] == [mine["device"]]
+    assert admin.post("/api/v1/jobs/failures/replay").json() == {"replayed": [mine["device"]]}
+    begun = admin.post("/api/v1/reruns", json={}).json()
+    assert begun["total"] == 1
+    with tenants.database.reading() as session:
+        assert session.scalars(sa.select(JobFailure.device_id)).all() == [theirs["device"]]
+        events = session.scalars(sa.select(RerunItem.event_id).where(RerunItem.rerun_id == begun["id"])).all()
+    assert events == [mine["event"]]
+    assert admin.post("/api/v1/reruns", json={"device_id": theirs["device"]}).status_code == 404
+
+
 # --- roles
 
 
