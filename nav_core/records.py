@@ -158,6 +158,11 @@ class Gnss:
         fix.flags.writeable = False
         object.__setattr__(self, "fix", fix)
 
+    def rows(self, which: Flags | slice) -> Gnss:
+        """Some of the fixes."""
+        columns = {name: getattr(self, name) for name in Gnss.__dataclass_fields__}
+        return Gnss(**{name: None if values is None else values[which] for name, values in columns.items()})
+
 
 @dataclass(frozen=True, slots=True)
 class Drive:

@@ -23,7 +23,12 @@ FLAT = 1e-3
 """Samples this close to the largest are at the same value, share of it."""
 
 RUN = 3
-"""So many in a row at one value are clipped wherever that is: no pulse stays flat to `FLAT` for so long."""
+"""So many in a row at one value are looked at, wherever that is: a smooth peak may be so flat, sampled fast enough."""
+
+NEAR = 9.0 * FLAT
+ROUND = 2.0
+"""A smooth peak is within `NEAR` of its top three times as long as within `FLAT`, being a parabola there whatever the
+rate; a rail is met at a slope.  Less than so many times as long is a rail."""
 
 DIRECTION = 0.06
 """How far, at the least, the direction of a force strays within a pulse, rad, 1 sigma."""
@@ -68,17 +73,24 @@ def saturated(f_a: Floats, known: float | None = None) -> Saturation:
     in_g = top / STANDARD_GRAVITY
     sold = min(abs(in_g - each) / each for each in RANGES) < FLAT
     expected = known is not None and top >= (1.0 - FLAT) * known
-    if not (sold or expected or _longest_run(at_top) >= RUN):
-        return nothing
-    return Saturation(at_top, top)
+    flat, near = _longest_run(at_top, size >= (1.0 - NEAR) * top)
+    rail = near < ROUND * flat if flat >= RUN else sold
+    return Saturation(at_top, top) if rail or expected else nothing
 
 
-def _longest_run(flags: Flags) -> int:
-    longest = 0
-    for column in flags.T:
+def _longest_run(flags: Flags, wider: Flags) -> tuple[int, int]:
+    """Length of the longest run of flags in a column, and of the run of wider flags that it lies in, samples."""
+    longest = around = 0
+    for column, outer in zip(flags.T, wider.T, strict=True):
         edges = np.flatnonzero(np.diff(np.concatenate([[False], column, [False]]).astype(np.int8)))
-        longest = max(longest, int(np.max(edges[1::2] - edges[::2], initial=0)))
-    return longest
+        lengths = edges[1::2] - edges[::2]
+        if lengths.max(initial=0) > longest:
+            k = int(np.argmax(lengths))
+            longest, begin = int(lengths[k]), int(edges[2 * k])
+            outside = np.concatenate([[-1], np.flatnonzero(~outer), [outer.size]])
+            j = int(np.searchsorted(outside, begin))
+            around = int(outside[j] - outside[j - 1]) - 1
+    return longest, around
 
 
 class Missing(NamedTuple):

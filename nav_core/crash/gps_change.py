@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from nav_core.events.level import Gravity
 from nav_core.events.trigger import Stream
 from nav_core.records import Gnss
 from nav_core.rotation import wrap
@@ -67,14 +68,6 @@ class Lags(NamedTuple):
     speed: float
     course: float
     sigma: float
-
-
-class Steady(NamedTuple):
-    """Specific force of gravity and bias alone, V axes, m/s², (3,); 1 sigma of each horizontal one; seconds used."""
-
-    f: Floats
-    sigma: float
-    span: float
 
 
 class Before(NamedTuple):
@@ -205,7 +198,7 @@ def _fit(
     return value, float(np.sqrt(weight @ C @ weight))
 
 
-def before(gnss: Gnss, lags: Lags, stream: Stream, steady: Steady, t0: float) -> Before | None:
+def before(gnss: Gnss, lags: Lags, stream: Stream, steady: Gravity, t0: float) -> Before | None:
     """Speed and course at `t0` from the fixes before it.
 
     Parameters
@@ -215,7 +208,7 @@ def before(gnss: Gnss, lags: Lags, stream: Stream, steady: Steady, t0: float) ->
     lags : Lags
     stream : Stream
         In V axes.
-    steady : Steady
+    steady : Gravity
         Gravity and bias, V axes.
     t0 : float
         Box clock, s.
@@ -241,7 +234,7 @@ def before(gnss: Gnss, lags: Lags, stream: Stream, steady: Steady, t0: float) ->
     return Before(max(value, 0.0), sigma, course, course_sigma, int(use.sum()))
 
 
-def _course(gnss: Gnss, lags: Lags, stream: Stream, steady: Steady, t0: float) -> tuple[float, float]:
+def _course(gnss: Gnss, lags: Lags, stream: Stream, steady: Gravity, t0: float) -> tuple[float, float]:
     described = gnss.t - lags.course
     use = (gnss.t <= t0) & (described >= t0 - BEFORE - lags.sigma) & (gnss.speed > SLOW) & np.isfinite(gnss.course)
     if not use.any():

@@ -10,9 +10,10 @@ from nav_core.crash.case import Case
 from nav_core.crash.clipping import restore
 from nav_core.crash.filters import LEAST_RATE, cfc
 from nav_core.crash.fuse import Change, Cloud, fuse
-from nav_core.crash.gps_change import AFTER, After, Before, Steady, after, before, level_before
+from nav_core.crash.gps_change import AFTER, SETTLED, After, Before, after, before, level_before
 from nav_core.crash.lacks import Lacks, lacks_of
 from nav_core.crash.pulse import Blow, blow_of, steady_before
+from nav_core.events.level import Gravity
 from nav_core.events.trigger import Window
 from nav_core.records import Gnss
 from nav_core.typing import Flags, Floats
@@ -33,6 +34,12 @@ is taken as noise that adds up sample by sample."""
 HELD = 0.1
 """Share of a turn during the blow that a gyro sampled with the accelerometer may miss, 1 sigma."""
 
+LATER_LEVEL = 0.4
+"""1 sigma by which gravity along the box's axes changes in a blow that pitches, rolls and turns the vehicle, m/s²."""
+
+LATER_SPEED = 0.6
+"""1 sigma of what braking and sliding between two blows leave open of the speed by the fixes, m/s."""
+
 JITTER = 0.025
 """1 sigma of vibration and noise left in an integral, m/s."""
 
@@ -47,7 +54,7 @@ class Impact(NamedTuple):
     Attributes
     ----------
     blow : Blow
-    steady : Steady
+    steady : Gravity
     filled : ndarray, shape (n, 3)
         Acceleration with the estimate where clipped, consistent with `cloud`, m/s².
     clipped : ndarray of bool, shape (n,)
@@ -69,7 +76,7 @@ class Impact(NamedTuple):
     """
 
     blow: Blow
-    steady: Steady
+    steady: Gravity
     filled: Floats
     clipped: Flags
     clipped_samples: int
@@ -83,7 +90,7 @@ class Impact(NamedTuple):
     from_gps: Floats | None
 
 
-def impact_of(case: Case, window: Window, *, with_gps: bool = True) -> Impact:
+def impact_of(case: Case, window: Window, earlier: Impact | None = None) -> Impact:
     """Work out one blow.
 
     Parameters
@@ -91,14 +98,18 @@ def impact_of(case: Case, window: Window, *, with_gps: bool = True) -> Impact:
     case : Case
     window : Window
         Of the case's stream.
-    with_gps : bool
-        Let the fixes take part; of a second blow soon after the first they cannot.
+    earlier : Impact, optional
+        A blow shortly before: gravity and bias are taken from before it, and of the fixes only those after it
+        tell the speed.  Where the vehicle then points they do not tell, so they have no say in delta-V.
     """
     stream = case.stream
     t0 = float(stream.t[window.zero])
-    gnss = case.gnss if with_gps else None
-    level = level_before(gnss, case.lags, stream, t0) if gnss is not None and case.yaw_known else None
-    steady = steady_before(stream, t0, level)
+    gnss = case.gnss
+    if earlier is None:
+        level = level_before(gnss, case.lags, stream, t0) if gnss is not None and case.yaw_known else None
+        steady = steady_before(stream, t0, level, float(max(case.sigma[:2])))
+    else:
+        steady = earlier.steady._replace(sigma=float(np.hypot(earlier.steady.sigma, LATER_LEVEL)))
     blow = blow_of(stream, window, steady, case.w_v, margin=MARGIN, tail=AFTER + 0.1)
     first = int(np.searchsorted(stream.t, blow.t[0]))
     flags = case.saturation.flags[first : first + blow.t.size]
@@ -108,9 +119,12 @@ def impact_of(case: Case, window: Window, *, with_gps: bool = True) -> Impact:
     smooth = blow.velocity(structural(case, blow, filled))[part]
     k = blow.zero + int(np.argmax(np.hypot(smooth[:, 0], smooth[:, 1])))
 
-    known = None if gnss is None else before(gnss, case.lags, stream, steady, t0)
     seen = None
-    if gnss is not None and known is not None and case.yaw_known:
+    if earlier is not None:
+        known = speed_between(case, earlier, steady, t0)
+    else:
+        known = None if gnss is None else before(gnss, case.lags, stream, steady, t0)
+    if gnss is not None and known is not None and earlier is None and case.yaw_known:
         seen = _seen(case, gnss, known, blow, trace)
     recorded, lacks = blow.v[k, :2], lacks_of(blow, case.rate)
     missing = trace[k, :2] - recorded
@@ -141,6 +155,34 @@ def impact_of(case: Case, window: Window, *, with_gps: bool = True) -> Impact:
         seen=seen,
         from_gps=gps,
     )
+
+
+def speed_between(case: Case, earlier: Impact, steady: Gravity, t0: float) -> Before | None:
+    """Speed over ground just before a further blow: carried on through the one before it, and by fixes since.
+
+    None when neither tells.  The course is not told: the vehicle may slide any way.
+    """
+    first, told = earlier.blow, list[tuple[float, float, int]]()
+    since = float(first.t[first.last])
+    if earlier.known is not None and first.t[-1] >= t0:
+        trace = first.velocity(earlier.filled)
+        gained = np.array([np.interp(t0, first.t, trace[:, axis]) for axis in range(2)]) - trace[earlier.k, :2]
+        velocity = earlier.cloud.mean + gained + [earlier.known.speed, 0.0]
+        off = earlier.cloud.points - earlier.cloud.mean
+        spread = float(np.sqrt(np.einsum("k,kj,kj->", earlier.cloud.weights, off, off) / 2.0))
+        sigma = float(np.linalg.norm([spread, earlier.known.sigma, steady.sigma * (t0 - since)]))
+        told.append((float(np.hypot(*velocity)), sigma, earlier.known.fixes))
+    if case.gnss is not None:
+        late = case.gnss.t - case.lags.speed >= since + SETTLED + 2.0 * case.lags.sigma
+        seen = before(case.gnss.rows(late), case.lags, case.stream, steady, t0) if late.any() else None
+        if seen is not None:
+            # What the accelerometer gains of a vehicle that slides sideways is not all along its way.
+            told.append((seen.speed, float(np.hypot(seen.sigma, LATER_SPEED)), seen.fixes))
+    if not told:
+        return None
+    weight = np.array([sigma**-2.0 for _, sigma, _ in told])
+    speed = float(weight @ [value for value, _, _ in told] / weight.sum())
+    return Before(speed, float(weight.sum() ** -0.5), np.nan, np.nan, max(count for _, _, count in told))
 
 
 def structural(case: Case, blow: Blow, a: Floats) -> Floats:
@@ -180,7 +222,7 @@ def _seen(case: Case, gnss: Gnss, known: Before, blow: Blow, trace: Floats) -> A
     return after(gnss, case.lags, known, float(blow.t[blow.last]), path)
 
 
-def _covariance(case: Case, blow: Blow, d: Floats, k: int, steady: Steady) -> Floats:
+def _covariance(case: Case, blow: Blow, d: Floats, k: int, steady: Gravity) -> Floats:
     """Of a delta-V that was not clipped: level, vibration, scale and sampling."""
     size = float(np.hypot(*d))
     along = d / max(size, 1e-9)

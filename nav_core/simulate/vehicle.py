@@ -21,6 +21,7 @@ START = -MAX_LAG
 
 _AFTER_END = 0.5
 _PATH_STEP = 0.05
+_SETTLES = 0.4
 
 Jet = tuple[Floats, Floats, Floats]
 Arm = tuple[float, float, float]
@@ -98,7 +99,8 @@ class Vehicle:
         v, a, _ = self.speed.jet(t)
         if self.shocks:
             first = self.shocks[0]
-            cruise = self.speed.value(np.array([first.t0]))[0]
+            # As the driver left it; of one who brakes the speed settles shortly after the blow's start.
+            cruise = self.speed.value(np.array([first.t0 + _SETTLES]))[0]
             travel, left, rate = first.friction(t)
             s = s + cruise * (travel - np.maximum(t - first.t0 - first.duration, 0.0))
             v, a = v + cruise * (left - 1.0), a + cruise * rate

@@ -14,15 +14,13 @@ from nav_core.events.record import (
     Basis,
     CrashEvent,
     DeltaV,
-    Driver,
     Estimate,
     Indices,
     InjuryRisk,
     Pulse,
-    Rest,
     SecondImpact,
-    Trajectory,
 )
+from nav_core.events.way import Driver, Rest, Trajectory
 from nav_core.records import Remark
 from server.events.canonical import canonical, settle
 from server.events.document import document_of
