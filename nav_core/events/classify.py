@@ -14,7 +14,7 @@ from nav_core.events.finding import OVER, SEVERE, TURNED, Finding
 from nav_core.events.record import EventKind
 from nav_core.events.scene import MOVES, Scene, restless
 from nav_core.events.signs import Around, Signs, core_of, peak_of, signs_of, speed_seen, window_at
-from nav_core.events.trigger import MULTI_EVENT, TRIGGER, TRIGGER_WINDOW, Stream, Window, groups, strongest_change
+from nav_core.events.trigger import MULTI_EVENT, TRIGGER, TRIGGER_WINDOW, Window, groups, strongest_change
 from nav_core.records import Remark
 from nav_core.typing import Integers
 
@@ -37,7 +37,7 @@ def find(scene: Scene) -> list[Finding]:
     found: list[Finding] = []
     for first, last in groups(violent >= TRIGGER, stream.t, TOGETHER):
         flagged = first + np.flatnonzero(violent[first : last + 1] >= TRIGGER)
-        found += _judged_together(scene, _windows(stream, flagged), found)
+        found += _judged_together(scene, _windows(scene, flagged), found)
     found += swipes(scene, found)
     found += bumps(scene, violent, found)
     found += tilted(scene, found)
@@ -45,12 +45,12 @@ def find(scene: Scene) -> list[Finding]:
     return sorted(found, key=lambda each: each.window.zero)
 
 
-def _windows(stream: Stream, flagged: Integers) -> list[Window]:
+def _windows(scene: Scene, flagged: Integers) -> list[Window]:
     """Windows of the events in a run of triggers, the strongest first: what begins after an end is a further event."""
     out: list[Window] = []
-    t = stream.t
+    stream, t = scene.stream, scene.stream.t
     while flagged.size:
-        window = window_at(stream, core_of(stream, int(flagged[0]), int(flagged[-1])))
+        window = window_at(scene, core_of(stream, int(flagged[0]), int(flagged[-1])))
         out.append(window)
         # A trigger looks ahead: what ends before time zero, or begins after the end, is of another event.
         apart = (t[flagged] + TRIGGER_WINDOW <= t[window.zero]) | (flagged > window.last)
@@ -59,7 +59,7 @@ def _windows(stream: Stream, flagged: Integers) -> list[Window]:
         # The larger part first; both are looked at if need be.
         rest = flagged[apart]
         early, late = rest[rest < window.zero], rest[rest > window.last]
-        out += _windows(stream, early) if late.size else []
+        out += _windows(scene, early) if late.size else []
         flagged = late if late.size else early
     return out
 

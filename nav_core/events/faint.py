@@ -52,7 +52,7 @@ def swipes(scene: Scene, found: list[Finding]) -> list[Finding]:
     sideways = (np.abs(stream.v[j, 1] - stream.v[:, 1]) >= SWIPE_CHANGE) & _free(stream, found, 1.0)
     out: list[Finding] = []
     for first, last in groups(sideways, stream.t, 0.3):
-        window = window_at(stream, core_of(stream, first, last), threshold=THRESHOLD / 2.0)
+        window = window_at(scene, core_of(stream, first, last), threshold=THRESHOLD / 2.0)
         signs = signs_of(scene, window)
         moved = signs.before is not None and signs.before > MOVES
         if not moved or signs.fell or signs.turned > TURNED or signs.kept < 0.6:
@@ -84,7 +84,7 @@ def bumps(scene: Scene, violent: Floats, found: list[Finding]) -> list[Finding]:
     for first, last in groups(loud, stream.t, 0.5):
         if not scene.stands_before(float(stream.t[first]) - 0.1):
             continue
-        window = window_at(stream, core_of(stream, first, last), threshold=THRESHOLD / 4.0)
+        window = window_at(scene, core_of(stream, first, last), threshold=THRESHOLD / 4.0)
         signs = signs_of(scene, window)
         if signs.fell or signs.turned > TURNED:
             remark = Remark("box_turned", "The box was moved while its vehicle stood.")
@@ -97,7 +97,8 @@ def bumps(scene: Scene, violent: Floats, found: list[Finding]) -> list[Finding]:
 def _further(scene: Scene, found: list[Finding]) -> list[Finding]:
     """Further bumps of a vehicle that stood when it was first struck, within the five seconds of one event."""
     stream = scene.stream
-    struck = [each for each in found if each.kind in SEVERE and scene.stands_before(float(stream.t[each.window.zero]))]
+    t = stream.t
+    struck = [each for each in found if each.kind in SEVERE and scene.stands_before(float(t[each.window.zero]) - 1.0)]
     hard = np.linalg.norm((stream.f - stream.rest)[:, :2], axis=1) >= TYRES
     out: list[Finding] = []
     for one in struck:
@@ -106,7 +107,7 @@ def _further(scene: Scene, found: list[Finding]) -> list[Finding]:
         near = np.zeros(stream.t.size, dtype=np.bool_)
         near[first:last] = True
         for begin, end in groups(hard & near & _free(stream, [*found, *out], SLIDES), stream.t, 0.1):
-            window = window_at(stream, core_of(stream, begin, end), threshold=THRESHOLD / 4.0)
+            window = window_at(scene, core_of(stream, begin, end))
             at = float(stream.t[window.zero])
             signs = signs_of(scene, window, Around(min(at, float(stream.t[zero])), np.inf, alone=False))
             if _bump(stream, window) and not (signs.fell or signs.turned > TURNED):

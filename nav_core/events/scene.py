@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from nav_core.earth import STANDARD_GRAVITY
-from nav_core.events.level import PLAIN, pieces
+from nav_core.events.level import PLAIN, usual_force
 from nav_core.events.record import VehicleClass
 from nav_core.events.trigger import Stream
 from nav_core.records import Gnss
@@ -34,8 +34,8 @@ class Scene(NamedTuple):
     lag_sigma : float
         s.
     vehicle_class : VehicleClass
-    gravity : float
-        Usual size of the force, m/s²: what the sensor makes of gravity.
+    level : ndarray, shape (3,)
+        Usual force of a vehicle that neither brakes nor turns, m/s²: what the sensor makes of gravity.
     """
 
     stream: Stream
@@ -43,7 +43,7 @@ class Scene(NamedTuple):
     fix_speed: Floats
     lag_sigma: float
     vehicle_class: VehicleClass
-    gravity: float = STANDARD_GRAVITY
+    level: Floats
 
     def speed_before(self, t: float) -> float | None:
         """Speed of the last fix before `t`, at most 5 s old, m/s."""
@@ -70,7 +70,7 @@ class Scene(NamedTuple):
         if seen.size == 0:
             return False
         size = np.linalg.norm(seen, axis=1)
-        if float(np.median(size)) > self.gravity + PLAIN:
+        if float(np.median(size)) > np.linalg.norm(self.level) + PLAIN:
             return True
         # Braking by `a` adds to gravity at a right angle; a box that is tilted by hand shows gravity alone.
         stray = float(np.ptp(seen, axis=0).max())
@@ -83,9 +83,8 @@ def scene_of(
     """Scene of a recording."""
     none = np.zeros(0)
     fix_t, fix_speed = (none, none) if gnss is None else (gnss.t - speed_lag, gnss.speed)
-    size = np.linalg.norm(pieces(stream.t, stream.f), axis=1)
-    gravity = float(np.median(size)) if size.size else STANDARD_GRAVITY
-    return Scene(stream, fix_t, fix_speed, min(lag_sigma, 0.2), vehicle_class, gravity)
+    level = usual_force(stream.t, stream.f)
+    return Scene(stream, fix_t, fix_speed, min(lag_sigma, 0.2), vehicle_class, level)
 
 
 def scatter_of(stream: Stream, begin: float, end: float) -> float | None:

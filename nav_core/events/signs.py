@@ -26,14 +26,12 @@ def core_of(stream: Stream, first: int, last: int) -> int:
     return first + int(np.argmax(change_within(part, 0.020)))
 
 
-def window_at(stream: Stream, core: int, *, threshold: float = THRESHOLD) -> Window:
+def window_at(scene: Scene, core: int, *, threshold: float = THRESHOLD) -> Window:
     """Window of the event around a core, looked for within two seconds of it."""
+    stream = scene.stream
     begin, stop = np.searchsorted(stream.t, [stream.t[core] - 1.5, stream.t[core] + 2.0])
     part = slice(int(begin), int(stop))
-    gravity = gravity_before(stream, float(stream.t[core]) - 0.1)
-    level = None
-    if gravity is not None:
-        level = integrate(stream.f[part, :2] - gravity.f[:2], stream.step[part])
+    level = integrate((stream.f[part] - scene.level)[:, :2], stream.step[part])
     inside = window_around(stream.t[part], stream.v[part, :2], core - int(begin), threshold=threshold, level=level)
     return Window(*(each + int(begin) for each in inside))
 
@@ -83,6 +81,10 @@ def signs_of(scene: Scene, window: Window, around: Around | None = None) -> Sign
     looked = min(t_end + LOOKS_AFTER, max(around.until - 0.005, t_end))
     stop = int(np.searchsorted(stream.t, looked, side="right"))
     a = stream.f[zero:stop] - rest
+    # The blow may have ended a braking: what comes after it then gives nothing back.
+    freely, later = stream.f[zero:stop] - scene.level, np.arange(zero, stop) > end
+    still = np.hypot(freely[:, 0], freely[:, 1]) < np.hypot(a[:, 0], a[:, 1])
+    a = np.where((later & still)[:, None], freely, a)
     v = np.cumsum(a[:, :2] * stream.step[zero:stop, None], axis=0)
     size = np.hypot(*v.T)
     change = float(size[: last + 1 - zero].max())

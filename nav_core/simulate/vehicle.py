@@ -159,11 +159,16 @@ class Vehicle:
         sideways = float(-impact.delta_v * np.sin(impact.pdof)) + 0.0
         before = self.at(at)
         speed_after = float(np.hypot(before.v[0] + forward, sideways))
+        slide = slide_time(speed_after)
+        if self.shocks:
+            # What an earlier blow left and what this one takes from it fade together: tyres know only their sum.
+            first = self.shocks[0]
+            slide = max(slide, first.t0 + first.duration + first.slide - impact.t - impact.duration)
         shock = Shock(
             t0=impact.t,
             duration=impact.duration,
             shape=impact.shape,
-            slide=slide_time(speed_after),
+            slide=slide,
             forward=forward,
             sideways=sideways,
             across=before.R_tv[0, :, 1],
