@@ -104,14 +104,17 @@ class Missing(NamedTuple):
         1 sigma of the logarithm of the missing impulse; 0 when nothing is missing.
     misfit : float
         How far the flanks stray from the fit, against what was allowed (1: as allowed).
+    stray : float
+        1 sigma of the direction of what is missing, rad.
     """
 
     a: Floats
     spread: float
     misfit: float
+    stray: float = 0.0
 
 
-def restore(t: Floats, a: Floats, H: Floats, clipped: Flags) -> Missing:
+def restore(t: Floats, a: Floats, H: Floats, clipped: Flags, unsure: float = 0.0) -> Missing:
     """Estimate the acceleration behind clipped samples.
 
     Parameters
@@ -119,11 +122,13 @@ def restore(t: Floats, a: Floats, H: Floats, clipped: Flags) -> Missing:
     t : ndarray, shape (n,)
         s.
     a : ndarray, shape (n, 3)
-        Acceleration as recorded, V axes at time zero, m/s².
+        Acceleration as recorded, V axes at time zero, less what is not of the blow, m/s².
     H : ndarray, shape (n, 3, 3)
         The sensor's axes from those of `a`, each sample.
     clipped : ndarray of bool, shape (n, 3)
         By sensor axis.
+    unsure : float
+        1 sigma of what was taken off `a`, m/s².
 
     Returns
     -------
@@ -153,8 +158,9 @@ def restore(t: Floats, a: Floats, H: Floats, clipped: Flags) -> Missing:
     # What is missing along u, sample by sample, and how much of the curve's spread falls on it.
     share = np.clip((added @ u) / np.maximum(full, 1e-9), 0.0, 1.0)
     guessed = float(along_u[~told].sum())
-    parts = [curve.sigma(weights * share), stray * impulse, LEAST * impulse, SHAPE * guessed]
-    return Missing(a + added, float(np.sqrt(np.log1p((np.linalg.norm(parts) / impulse) ** 2))), curve.misfit)
+    off = unsure * float(weights.sum())
+    parts = [curve.sigma(weights * share), stray * impulse, LEAST * impulse, SHAPE * guessed, off]
+    return Missing(a + added, float(np.sqrt(np.log1p((np.linalg.norm(parts) / impulse) ** 2))), curve.misfit, stray)
 
 
 def _one_direction(y: Floats, H: Floats, clipped: Flags) -> tuple[Floats, Floats, Floats, float]:

@@ -55,8 +55,8 @@ LEVEL = 0.08
 LOOK_BACK = 4.0
 """Gravity and bias are taken from at most this long before a blow, s."""
 
-DIVE = 0.03
-"""1 sigma of the share by which pitching makes a braking look stronger: usual cars dive some 2° per g."""
+DIVE, DIVE_SIGMA = 0.015, 0.02
+"""Share by which pitching makes a braking look stronger, and its 1 sigma: cars dive by 0 to 3° per g."""
 
 UNSEEN = 1.5
 """Presumed acceleration where the recording has no samples, m/s²."""
@@ -164,8 +164,9 @@ def level_before(gnss: Gnss, lags: Lags, stream: Stream, t0: float) -> Level | N
     if use.sum() < 4 or np.ptp(at[use]) < 0.4 * LOOK_BACK:
         return None
     at, speed = at[use], gnss.speed[use]
-    x = np.column_stack([part.f[:, 0], np.ones(part.t.size)])
+    x = np.column_stack([(1.0 - DIVE) * part.f[:, 0], np.ones(part.t.size)])
     forward, sigma = _fit(part, x, at, speed, np.full(at.size, SPEED_NOISE), lags.sigma, t0)
+    forward /= 1.0 - DIVE
     v = np.interp(part.t, at, speed)
     at = gnss.t - lags.course
     use = (at >= part.t[0]) & (gnss.t <= t0)
@@ -194,7 +195,11 @@ def _fit(
     # A fit worse than the fixes' noise says so.
     worse = max(1.0, float(left @ left) / max(at.size - 2, 1))
     shift = late[:, 0] - value * late[:, 1]
-    C = worse * repeating(at, 1.0) * np.outer(noise, noise) + np.outer(shift, shift) + DIVE**2 * np.outer(own, own)
+    C = (
+        worse * repeating(at, 1.0) * np.outer(noise, noise)
+        + np.outer(shift, shift)
+        + DIVE_SIGMA**2 * np.outer(own, own)
+    )
     return value, float(np.sqrt(weight @ C @ weight))
 
 
@@ -225,10 +230,12 @@ def before(gnss: Gnss, lags: Lags, stream: Stream, steady: Gravity, t0: float) -
         return None
     at, speed = described[use], gnss.speed[use]
     gained, uncertain = _gained(stream, steady.f, at, t0, _unsteady(at, speed), steady.sigma)
+    gained[:, 0] *= 1.0 - DIVE
     z = speed + gained[:, 0]
     # One error of the level runs through all of them, and one of how far the body pitches.
-    C = repeating(at, SPEED_NOISE) + np.outer(uncertain, uncertain) + DIVE**2 * np.outer(gained[:, 0], gained[:, 0])
-    shift = _gained(stream, steady.f, at - lags.sigma, t0)[0][:, 0] - gained[:, 0]
+    C = repeating(at, SPEED_NOISE) + np.outer(uncertain, uncertain)
+    C += DIVE_SIGMA**2 * np.outer(gained[:, 0], gained[:, 0])
+    shift = (1.0 - DIVE) * _gained(stream, steady.f, at - lags.sigma, t0)[0][:, 0] - gained[:, 0]
     value, sigma = combine(z, C + np.outer(shift, shift))
     course, course_sigma = _course(gnss, lags, stream, steady, t0)
     return Before(max(value, 0.0), sigma, course, course_sigma, int(use.sum()))

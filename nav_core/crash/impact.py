@@ -10,11 +10,11 @@ from nav_core.crash.case import Case
 from nav_core.crash.clipping import restore
 from nav_core.crash.filters import LEAST_RATE, cfc
 from nav_core.crash.fuse import Change, Cloud, fuse
-from nav_core.crash.gps_change import AFTER, SETTLED, After, Before, after, before, level_before
+from nav_core.crash.gps_change import AFTER, DIVE, DIVE_SIGMA, SETTLED, After, Before, after, before, level_before
 from nav_core.crash.lacks import Lacks, lacks_of
 from nav_core.crash.pulse import Blow, blow_of, steady_before
 from nav_core.events.level import Gravity
-from nav_core.events.trigger import Window
+from nav_core.events.trigger import Stream, Window
 from nav_core.records import Gnss
 from nav_core.typing import Flags, Floats
 
@@ -33,6 +33,12 @@ is taken as noise that adds up sample by sample."""
 
 HELD = 0.1
 """Share of a turn during the blow that a gyro sampled with the accelerometer may miss, 1 sigma."""
+
+BESIDE = 0.06
+"""What acts besides a blow is the mean of so long before and after it, s."""
+
+LEANS = 0.25
+"""The suspension follows the mean braking of so long, s."""
 
 LATER_LEVEL = 0.4
 """1 sigma by which gravity along the box's axes changes in a blow that pitches, rolls and turns the vehicle, m/s²."""
@@ -110,10 +116,11 @@ def impact_of(case: Case, window: Window, earlier: Impact | None = None) -> Impa
         steady = steady_before(stream, t0, level, float(max(case.sigma[:2])))
     else:
         steady = earlier.steady._replace(sigma=float(np.hypot(earlier.steady.sigma, LATER_LEVEL)))
-    blow = blow_of(stream, window, steady, case.w_v, margin=MARGIN, tail=AFTER + 0.1)
+    leaning = _leaning(stream, steady, t0) if earlier is None else steady
+    blow = blow_of(stream, window, leaning, case.w_v, margin=MARGIN, tail=AFTER + 0.1)
     first = int(np.searchsorted(stream.t, blow.t[0]))
     flags = case.saturation.flags[first : first + blow.t.size]
-    filled, spread = _restored(case, blow, flags)
+    filled, spread, stray = _restored(case, blow, flags)
     part = slice(blow.zero, blow.last + 1)
     trace = blow.velocity(filled)
     smooth = blow.velocity(structural(case, blow, filled))[part]
@@ -132,7 +139,7 @@ def impact_of(case: Case, window: Window, earlier: Impact | None = None) -> Impa
         recorded,
         missing,
         spread,
-        _covariance(case, blow, trace[k, :2], k, steady) + lacks.unsure**2 * np.eye(2),
+        _covariance(case, blow, trace[k, :2], k, leaning) + lacks.unsure**2 * np.eye(2) + stray**2 * _across(missing),
         _turn(case, blow, k),
     )
     gps, covariance = None, None
@@ -203,17 +210,49 @@ def _rough(a: Floats) -> float:
     return float(np.sqrt(np.mean(off**2) / max(np.mean(a**2), 1e-9)))
 
 
-def _restored(case: Case, blow: Blow, flags: Flags) -> tuple[Floats, float]:
-    """Acceleration with an estimate in place of what was clipped, and the spread of that estimate."""
+def _across(v: Floats) -> Floats:
+    """Covariance of a vector (2,) whose direction alone is unsure, by 1 rad."""
+    return np.outer([-v[1], v[0]], [-v[1], v[0]])
+
+
+def _restored(case: Case, blow: Blow, flags: Flags) -> tuple[Floats, float, float]:
+    """Acceleration with an estimate in place of what was clipped, its spread and 1 sigma of its direction, rad."""
     begin = max(int(np.searchsorted(blow.t, blow.t[blow.zero] - 0.03)), 0)
     part = slice(begin, blow.last + 1)
     if case.saturation.full_scale is None or not flags[part].any():
-        return blow.a, 0.0
+        return blow.a, 0.0, 0.0
     H = np.einsum("ji,nkj->nik", case.R_va, blow.C[part])  # R_va^T C^T
-    known = restore(blow.t[part], blow.a[part], H, flags[part])
+    beside = _beside(blow, flags)[part]
+    # When within the blow one gave way to the other is not told: evenly spread between both.
+    unsure = float(np.linalg.norm(beside[-1] - beside[0])) / np.sqrt(12.0)
+    known = restore(blow.t[part], blow.a[part] - beside, H, flags[part], unsure)
     filled = blow.a.copy()
-    filled[part] = known.a
-    return filled, known.spread
+    filled[part] = known.a + beside
+    return filled, known.spread, known.stray
+
+
+def _leaning(stream: Stream, steady: Gravity, t0: float) -> Gravity:
+    """Gravity and bias of a body that braking has pitched: through a blow it stays so."""
+    now = stream.mean(t0 - LEANS, t0 - 0.005)
+    if now is None:
+        return steady
+    braking = float(now[0] - steady.f[0])
+    f = steady.f + np.array([DIVE * braking, 0.0, 0.0])
+    return steady._replace(f=f, sigma=float(np.hypot(steady.sigma, DIVE_SIGMA * braking)))
+
+
+def _beside(blow: Blow, flags: Flags) -> Floats:
+    """What acts besides the blow, m/s², shape (n, 3): brakes before it, sliding after it, one fading into the other.
+
+    It does not point the way of the blow, which is what tells clipped axes from those that did not clip.
+    """
+    t, whole = blow.t, ~flags.any(axis=1)
+    begin, end = float(t[blow.zero]), float(t[blow.last])
+    before = whole & (t >= begin - BESIDE) & (t < begin)
+    after = whole & (t > end) & (t <= end + BESIDE)
+    ends = [blow.a[each].mean(axis=0) if each.any() else np.zeros(3) for each in (before, after)]
+    share = np.clip((t - begin) / max(end - begin, 1e-9), 0.0, 1.0)[:, None]
+    return (1.0 - share) * ends[0] + share * ends[1]
 
 
 def _seen(case: Case, gnss: Gnss, known: Before, blow: Blow, trace: Floats) -> After | None:

@@ -1,7 +1,7 @@
-"""Gravity and bias before a moment, without fixes: told apart from braking and bends by what lasts and what is upright.
+"""Gravity and bias before a moment, without fixes: told apart from braking and bends by what is upright.
 
-Braking looks like a slope.  But nobody brakes for most of twenty seconds, a box whose mounting is known stands
-upright but for the road's slope, and gravity alone is not larger than gravity.
+Braking looks like a slope.  But a box whose mounting is known stands upright but for the road's slope, and gravity
+alone is not larger than gravity.
 """
 
 from __future__ import annotations
@@ -19,9 +19,6 @@ LOOK_BACK = 20.0
 
 PIECE = 0.5
 """Vibration averages out over so long, s."""
-
-LASTING = 10.0
-"""Of so many seconds the median is gravity and bias, whatever the driver did in between."""
 
 OWN = 0.3
 """1 sigma of how much slope and bias differ from their median of the seconds before, m/s²."""
@@ -89,16 +86,13 @@ def gravity_before(stream: Stream, t: float, tilt: float | None = None) -> Gravi
     means = pieces(stream.t[use], stream.f[use])
     f: Floats = np.median(means, axis=0)
     span = min(float(stream.t[use[-1]] - stream.t[use[0]]), PIECE * means.shape[0])
-    if span >= LASTING:
-        sigma = OWN
-    elif tilt is None:
+    if tilt is None:
         # Braking by `a` makes the force larger than gravity.
         larger = max(float(np.linalg.norm(f)) - PLAIN, STANDARD_GRAVITY)
         sigma = float(np.hypot(OWN, np.sqrt(larger**2 - STANDARD_GRAVITY**2)))
-    else:
-        sigma = float(np.hypot(OWN, max(float(np.hypot(f[0], f[1])) - 2.0 * SLOPE, 0.0)))
-    if tilt is None:
         return Gravity(f, sigma, span)
+    # More than a slope is driving.
+    sigma = float(np.hypot(OWN, max(float(np.hypot(f[0], f[1])) - 2.0 * SLOPE, 0.0)))
     upright = float(np.hypot(SLOPE, STANDARD_GRAVITY * tilt))
     share = upright**2 / (upright**2 + sigma**2)
     return Gravity(np.array([share * f[0], share * f[1], f[2]]), float(np.sqrt(share)) * sigma, span)

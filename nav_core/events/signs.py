@@ -7,13 +7,16 @@ from typing import NamedTuple
 import numpy as np
 
 from nav_core.earth import STANDARD_GRAVITY
-from nav_core.events.level import PLAIN, gravity_before, is_plain
+from nav_core.events.level import PLAIN, is_plain, usual_force
 from nav_core.events.scene import Scene
 from nav_core.events.trigger import THRESHOLD, Stream, Window, change_within, groups, integrate, window_around
 from nav_core.typing import Floats
 
 FALLING, FALL_TIME = 0.4 * STANDARD_GRAVITY, 0.08
 """A box whose force stays under this for so long falls, m/s² and s; no road does that for so long."""
+
+MINUTE = 60.0
+"""So far back a vehicle that brakes is looked at for how it stands, s."""
 
 LOOKS_AFTER = 0.25
 """So long after a blow its change must still be there, s."""
@@ -109,9 +112,10 @@ def _turned(stream: Stream, t0: float, down: Floats | None) -> float:
     explained = 0.0
     if np.linalg.norm(before) > STANDARD_GRAVITY + PLAIN:
         # It braked, or went round a bend: how it stood is told by what came before that, if there is any.
-        earlier = gravity_before(stream, t0 - 0.1)
-        if earlier is not None and is_plain(earlier.f):
-            before = earlier.f
+        part = slice(*np.searchsorted(stream.t, [t0 - MINUTE, t0 - 0.1]).tolist())
+        earlier = usual_force(stream.t[part], stream.f[part])
+        if is_plain(earlier):
+            before = earlier
         else:
             explained = float(np.arccos(STANDARD_GRAVITY / np.linalg.norm(before)))
     cosine = float(before @ down / max(np.linalg.norm(before) * np.linalg.norm(down), 1e-9))

@@ -9,10 +9,11 @@ import numpy as np
 from nav_core.crash import reconstruct_drive
 from nav_core.earth import STANDARD_GRAVITY
 from nav_core.events.record import CrashEvent, Estimate
+from nav_core.events.trigger import AFTER_END
 from nav_core.mounting import estimate_mounting
 from nav_core.rotation import wrap
 from nav_core.simulate.drive import simulate
-from nav_core.simulate.scenario import Impact, PulseShape, RouteName, Scenario, TrueEvent
+from nav_core.simulate.scenario import Impact, PulseShape, RouteName, Scenario, TrueEvent, Truth
 from nav_core.simulate.shocks import shaken
 
 KMH = 3.6
@@ -121,7 +122,7 @@ def crash(seed: int, *, gyro: bool = False, yaw_rate: float = 0.0, fixes: bool =
     if not fixes:
         drive = replace(drive, gnss=drive.gnss.rows(drive.gnss.t < impact.t - 60.0))
     events = reconstruct_drive(drive, mounting)
-    true = truth.events[0]
+    true = _true_change(truth)
     near = [each for each in events if each.severe and abs(each.t0 - true.t0) < 0.5]
     return Outcome(
         seed=seed,
@@ -141,6 +142,21 @@ def _braked(impact: Impact, rng: np.random.Generator) -> Impact:
         return impact
     seconds = min(seconds, (FASTEST - impact.speed) / hard)
     return replace(impact, braking=float(hard), braking_time=float(seconds))
+
+
+def _true_change(truth: Truth) -> TrueEvent:
+    """The first event with delta-V as it is reported: at its largest until 30 ms after the end, brakes included."""
+    event = truth.events[0]
+    first, last = np.searchsorted(truth.t, [event.t0, event.t_end + AFTER_END])
+    change = ((truth.velocity[first : last + 1] - truth.velocity[first]) @ truth.R_tv[first])[:, :2]
+    x, y = change[int(np.argmax(np.hypot(*change.T)))].tolist()
+    return replace(
+        event,
+        longitudinal=x,
+        lateral=y,
+        resultant=float(np.hypot(x, y)),
+        pdof=float(np.arctan2(-y + 0.0, -x + 0.0)),
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
