@@ -31,6 +31,7 @@ def main() -> None:
     parser.add_argument("--crashes", type=int, default=500)
     parser.add_argument("--hours", type=float, default=200.0)
     parser.add_argument("--turning", type=int, default=100, help="crashes that turn the vehicle, box with gyro")
+    parser.add_argument("--blind", type=int, default=100, help="crashes without a fix from a minute before on")
     parser.add_argument("--processes", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--out", type=Path, default=OUT)
     args = parser.parse_args()
@@ -42,10 +43,15 @@ def main() -> None:
     plain = run(crash, range(FIRST_CRASH, FIRST_CRASH + args.crashes), args.processes)
     first = FIRST_CRASH + 10_000
     spun = run(partial(crash, gyro=True, yaw_rate=3.0), range(first, first + args.turning), args.processes)
+    first += 10_000
+    blind = run(partial(crash, fixes=False), range(first, first + args.blind), args.processes)
     halves = range(FIRST_HOUR, FIRST_HOUR + round(args.hours * 60.0 / MINUTES))
     hours = run(partial(ordinary, minutes=MINUTES), halves, args.processes)
     lines = ["# Crash benchmark", "", "Written by `make bench-crash` (benchmarks/crash.py); seeds are fixed.", ""]
     lines += ["## Simulated crashes", "", *crashes(plain), ""]
+    braked = [each for each in plain if each.braked]
+    lines += ["## Of these, those that the driver braked for, by 0.3-1 g for up to 3 s", "", *crashes(braked), ""]
+    lines += ["## Crashes without a fix from a minute before on", "", *crashes(blind), ""]
     lines += ["## Crashes that turn the vehicle by up to 3 rad/s, box with gyro", "", *crashes(spun), ""]
     lines += ["## Driving without a crash", "", *quiet(hours), ""]
     args.out.write_text("\n".join(lines), encoding="utf-8")
@@ -67,6 +73,7 @@ def crashes(outcomes: list[Outcome]) -> list[str]:
     rows = [
         f"{found} of {len(outcomes)} found. 12-60 km/h, any direction, 70-160 ms, haversine, half-sine and triangle,",
         "±8, 11 or 16 g at 200 Hz, 4 fixes per second, any mounting, estimated from the same five minutes.",
+        f"{sum(each.braked for each in outcomes)} of the drivers braked.",
         "",
         "| | unclipped | clipped |",
         "|---|---|---|",
@@ -79,12 +86,14 @@ def crashes(outcomes: list[Outcome]) -> list[str]:
 
     def both(values: list[float], unit: str) -> str:
         sizes = np.abs(np.array(values))
+        if np.isnan(sizes).all():
+            return "not told"
         return f"{np.nanmedian(sizes):.2f} / {np.nanquantile(sizes, 0.9):.2f} / {np.nanmax(sizes):.1f} {unit}"
 
     def cover(name: str) -> Callable[[list[Outcome]], str]:
         def cell(each: list[Outcome]) -> str:
             held = [value for value in (one.covers(name) for one in each) if value is not None]
-            return f"{100.0 * np.mean(held):.1f} % of {len(held)}"
+            return f"{100.0 * np.mean(held):.1f} % of {len(held)}" if held else "not told"
 
         return cell
 
@@ -95,11 +104,10 @@ def crashes(outcomes: list[Outcome]) -> list[str]:
     row("delta-V within its 95 % interval", cover("delta_v"))
     row("PDOF within its 95 % interval", cover("pdof"))
     row("impact speed within its 95 % interval", cover("speed"))
-    parts = ", ".join(
-        f"{label} {100.0 * np.mean([one.covers(name) for one in seen if one.covers(name) is not None]):.1f} %"
-        for name, label in (("delta_v", "delta-V"), ("pdof", "PDOF"), ("speed", "impact speed"))
-    )
-    return [*rows, "", f"All together: {parts}."]
+    names = (("delta_v", "delta-V"), ("pdof", "PDOF"), ("speed", "impact speed"))
+    parts = ", ".join(f"{label} {cover(name)(seen)}" for name, label in names)
+    missed = [f"- seed {each.seed}: {', '.join(each.kinds) or 'nothing'}" for each in outcomes if not each.found]
+    return [*rows, "", f"Within their intervals, all together: {parts}.", *(["", *missed] if missed else [])]
 
 
 def quiet(hours: list[Hours]) -> list[str]:
