@@ -106,12 +106,15 @@ class Missing(NamedTuple):
         How far the flanks stray from the fit, against what was allowed (1: as allowed).
     stray : float
         1 sigma of the direction of what is missing, rad.
+    bent : float
+        How far the direction of the samples that did not clip strays from one, rms, rad.
     """
 
     a: Floats
     spread: float
     misfit: float
     stray: float = 0.0
+    bent: float = 0.0
 
 
 def restore(t: Floats, a: Floats, H: Floats, clipped: Flags, unsure: float = 0.0) -> Missing:
@@ -135,7 +138,8 @@ def restore(t: Floats, a: Floats, H: Floats, clipped: Flags, unsure: float = 0.0
     Missing
     """
     y = np.einsum("nij,nj->ni", H, a)
-    u, s, variance, stray = _one_direction(y, H, clipped)
+    u, s, variance, bent = _one_direction(y, H, clipped, unsure)
+    stray = max(DIRECTION, bent)
     along = np.einsum("nij,j->ni", H, u)
     sign = np.sign(y)
     # A clipped axis says that the force along u is at least this.
@@ -154,17 +158,21 @@ def restore(t: Floats, a: Floats, H: Floats, clipped: Flags, unsure: float = 0.0
     along_u = weights * (added @ u)
     impulse = float(along_u.sum())
     if impulse <= 0.0:
-        return Missing(a, 0.0, curve.misfit)
+        return Missing(a, 0.0, curve.misfit, 0.0, bent)
     # What is missing along u, sample by sample, and how much of the curve's spread falls on it.
     share = np.clip((added @ u) / np.maximum(full, 1e-9), 0.0, 1.0)
     guessed = float(along_u[~told].sum())
-    off = unsure * float(weights.sum())
+    # An axis that hardly feels the force, where no other is left to tell, makes as much larger what is not of it.
+    seen = np.where(clipped, 0.0, along**2).sum(axis=1)
+    off = unsure * float((weights / np.sqrt(np.clip(seen, 0.01, 1.0)))[told].sum() + weights[~told].sum())
     parts = [curve.sigma(weights * share), stray * impulse, LEAST * impulse, SHAPE * guessed, off]
-    return Missing(a + added, float(np.sqrt(np.log1p((np.linalg.norm(parts) / impulse) ** 2))), curve.misfit, stray)
+    return Missing(
+        a + added, float(np.sqrt(np.log1p((np.linalg.norm(parts) / impulse) ** 2))), curve.misfit, stray, bent
+    )
 
 
-def _one_direction(y: Floats, H: Floats, clipped: Flags) -> tuple[Floats, Floats, Floats, float]:
-    """The direction the force keeps, its size at each sample with variance, and how far it strays.
+def _one_direction(y: Floats, H: Floats, clipped: Flags, unsure: float) -> tuple[Floats, Floats, Floats, float]:
+    """The direction the force keeps, its size at each sample with variance, and how far it strays, rms, rad.
 
     Alternating least squares over the axes that did not clip.  The size is NaN where none tells it.
     """
@@ -191,6 +199,7 @@ def _one_direction(y: Floats, H: Floats, clipped: Flags) -> tuple[Floats, Floats
     off = np.where(free, y - s[:, None] * along, 0.0)
     loud = whole & (s > 0.3 * s.max(initial=1e-9))
     ratio = np.sqrt(np.einsum("ni,ni->n", off[loud], off[loud]) / 2.0) / np.maximum(s[loud], 1e-9)
-    stray = max(DIRECTION, float(np.sqrt(np.mean(ratio**2)))) if loud.any() else 3.0 * DIRECTION
-    variance = (NOISE**2 + np.where(whole, 0.0, (stray * np.maximum(s, 0.0)) ** 2)) / np.maximum(seen, 1e-6)
-    return u, np.where(seen > 0.01, s, np.nan), variance, stray
+    bent = float(np.sqrt(np.mean(ratio**2))) if loud.any() else 3.0 * DIRECTION
+    stray = max(DIRECTION, bent)
+    variance = (NOISE**2 + unsure**2 + np.where(whole, 0.0, (stray * np.maximum(s, 0.0)) ** 2)) / np.maximum(seen, 1e-6)
+    return u, np.where(seen > 0.01, s, np.nan), variance, bent

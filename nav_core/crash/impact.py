@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from nav_core.crash.case import Case
-from nav_core.crash.clipping import restore
+from nav_core.crash.clipping import Missing, restore
 from nav_core.crash.filters import LEAST_RATE, cfc
 from nav_core.crash.fuse import Change, Cloud, fuse
 from nav_core.crash.gps_change import AFTER, DIVE, DIVE_SIGMA, SETTLED, After, Before, after, before, level_before
@@ -33,6 +33,9 @@ is taken as noise that adds up sample by sample."""
 
 HELD = 0.1
 """Share of a turn during the blow that a gyro sampled with the accelerometer may miss, 1 sigma."""
+
+FADES = 0.5
+"""Less than this of what acts besides a blow is not looked at closer, m/s²."""
 
 BESIDE = 0.06
 """What acts besides a blow is the mean of so long before and after it, s."""
@@ -222,10 +225,15 @@ def _restored(case: Case, blow: Blow, flags: Flags) -> tuple[Floats, float, floa
     if case.saturation.full_scale is None or not flags[part].any():
         return blow.a, 0.0, 0.0
     H = np.einsum("ji,nkj->nik", case.R_va, blow.C[part])  # R_va^T C^T
-    beside = _beside(blow, flags)[part]
-    # When within the blow one gave way to the other is not told: evenly spread between both.
-    unsure = float(np.linalg.norm(beside[-1] - beside[0])) / np.sqrt(12.0)
-    known = restore(blow.t[part], blow.a[part] - beside, H, flags[part], unsure)
+    tries: list[tuple[Missing, Floats]] = []
+    ends = _beside(blow, flags)
+    # When the one gave way to the other is not told, but a wrong guess bends the direction of the flanks.
+    unsure = float(np.linalg.norm(ends[1] - ends[0])) / np.sqrt(12.0)
+    elapsed = np.clip((blow.t[part] - blow.t[blow.zero]) / max(blow.t[blow.last] - blow.t[blow.zero], 1e-9), 0.0, 1.0)
+    for share in (elapsed > 0.0, elapsed, elapsed >= 1.0) if unsure > FADES else (elapsed,):
+        beside = np.outer(1.0 - share, ends[0]) + np.outer(share, ends[1])
+        tries.append((restore(blow.t[part], blow.a[part] - beside, H, flags[part], unsure), beside))
+    known, beside = min(tries, key=lambda each: each[0].bent)
     filled = blow.a.copy()
     filled[part] = known.a + beside
     return filled, known.spread, known.stray
@@ -241,8 +249,8 @@ def _leaning(stream: Stream, steady: Gravity, t0: float) -> Gravity:
     return steady._replace(f=f, sigma=float(np.hypot(steady.sigma, DIVE_SIGMA * braking)))
 
 
-def _beside(blow: Blow, flags: Flags) -> Floats:
-    """What acts besides the blow, m/s², shape (n, 3): brakes before it, sliding after it, one fading into the other.
+def _beside(blow: Blow, flags: Flags) -> tuple[Floats, Floats]:
+    """What acts besides the blow, m/s², (3,): brakes before it, sliding after it.
 
     It does not point the way of the blow, which is what tells clipped axes from those that did not clip.
     """
@@ -251,8 +259,7 @@ def _beside(blow: Blow, flags: Flags) -> Floats:
     before = whole & (t >= begin - BESIDE) & (t < begin)
     after = whole & (t > end) & (t <= end + BESIDE)
     ends = [blow.a[each].mean(axis=0) if each.any() else np.zeros(3) for each in (before, after)]
-    share = np.clip((t - begin) / max(end - begin, 1e-9), 0.0, 1.0)[:, None]
-    return (1.0 - share) * ends[0] + share * ends[1]
+    return ends[0], ends[1]
 
 
 def _seen(case: Case, gnss: Gnss, known: Before, blow: Blow, trace: Floats) -> After | None:

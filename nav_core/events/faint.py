@@ -28,6 +28,9 @@ SHOCK: dict[VehicleClass, float] = {"car": 20.0, "van": 22.0, "truck": 30.0, "bu
 PARKED_PEAK = 5.0
 """Least force of a bump, m/s²: no vehicle pulls away so hard."""
 
+BUMP_LONGEST = 0.5
+"""Longer than this a vehicle was driven, s."""
+
 TYRES = 1.3 * STANDARD_GRAVITY
 """Least force of a further bump of a vehicle that still slides from the one before, m/s²: beyond tyres."""
 
@@ -119,6 +122,8 @@ def _stays(scene: Scene, window: Window) -> bool:
     """Whether the vehicle stood quietly before and stands again soon, as far as recorded: it did not just pull away."""
     stream = scene.stream
     t0, t_end = float(stream.t[window.zero]), float(stream.t[window.end])
+    if scene.brakes_before(t0):
+        return False
     before, after = scatter_of(stream, t0 - 2.1, t0 - 0.05), scatter_of(stream, t_end + 2.0, t_end + 4.0)
     if max(before or 0.0, after or 0.0) > 2.0 * STILL:
         return False
@@ -137,7 +142,7 @@ def _bump(stream: Stream, window: Window) -> bool:
     force = np.hypot(a[:, 0], a[:, 1])
     one_way = size.max() > 0.45 * float((force * stream.step[part]).sum())
     hard = size.max() >= PARKED_CHANGE and force.max() >= PARKED_PEAK
-    return bool(hard and level and one_way and length >= 0.035)
+    return bool(hard and level and one_way and 0.035 <= length <= BUMP_LONGEST)
 
 
 def tilted(scene: Scene, found: list[Finding]) -> list[Finding]:

@@ -61,9 +61,9 @@ class Scene(NamedTuple):
         if speed is not None:
             return speed < STANDS and (earlier is None or earlier < STANDS)
         scatter = scatter_of(self.stream, t - 2.0, t - 0.1)
-        return scatter is not None and scatter < STILL and not self._brakes(t)
+        return scatter is not None and scatter < STILL and not self.brakes_before(t)
 
-    def _brakes(self, t: float) -> bool:
+    def brakes_before(self, t: float) -> bool:
         """Whether the force before `t` shows a vehicle that slows down, however smoothly."""
         means = [self.stream.mean(begin, begin + 0.45) for begin in (t - 2.0, t - 1.5, t - 1.0, t - 0.55)]
         seen = np.array([mean for mean in means if mean is not None])
@@ -100,6 +100,10 @@ def scatter_of(stream: Stream, begin: float, end: float) -> float | None:
 
 
 def restless(stream: Stream, begin: float, end: float) -> float:
-    """Scatter of the force about its mean, all axes, m/s²; 0 without samples."""
-    first, last = np.searchsorted(stream.t, [begin, end])
-    return float(np.linalg.norm(stream.f[first:last].std(axis=0))) if last - first > 4 else 0.0
+    """Scatter of the force about its mean, all axes, in the calmer half of a time, m/s²; 0 without samples.
+
+    A box that is carried is never calm; a vehicle that was bumped a moment ago was calm before that, or is since.
+    """
+    first, middle, last = np.searchsorted(stream.t, [begin, 0.5 * (begin + end), end])
+    halves = [stream.f[first:middle], stream.f[middle:last]]
+    return min(float(np.linalg.norm(half.std(axis=0))) if half.shape[0] > 4 else 0.0 for half in halves)
