@@ -117,6 +117,26 @@ def stored_between(session: Session, device_id: str, boot: str, first_s: float, 
     return session.scalars(query.order_by(Event.t0_s)).all()
 
 
+def judged_otherwise(
+    session: Session, device_id: str, installation_id: str, since: float, until: float, *, limit: int
+) -> Sequence[Event]:
+    """Manoeuvres, shocks and handling between two moments, Unix s, that rest on another mounting than this one."""
+    query = (
+        select(Event)
+        .join(EventRevision, (EventRevision.event_id == Event.id) & (EventRevision.number == Event.revision))
+        .where(
+            Event.device_id == device_id,
+            Event.severe.is_(False),
+            Event.withdrawn_at.is_(None),
+            Event.at >= dt.datetime.fromtimestamp(since, dt.UTC),
+            EventRevision.installation_id != installation_id,
+        )
+    )
+    if until < float("inf"):
+        query = query.where(Event.at < dt.datetime.fromtimestamp(until, dt.UTC))
+    return session.scalars(query.order_by(Event.at).limit(limit)).all()
+
+
 def newest_seal(session: Session, device_id: str) -> ChainSeal | None:
     """The seal that covers most of a device's chain."""
     query = select(ChainSeal).where(ChainSeal.device_id == device_id)

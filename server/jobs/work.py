@@ -285,6 +285,7 @@ class Round:
             now=self._now,
         )
         events.take_in(batches)
+        events.judge_anew(mountings.recorded)
         events.revise_unmounted(mountings.recorded)
 
     def _plan_review(self, pending: bool) -> None:
