@@ -231,7 +231,7 @@ def _between(event: CrashEvent) -> Element:
     name = "Time from event 1 to 2"
     if not event.second_impacts:
         return Element(table="I", name=name, unit="s", note="not recorded: one event")
-    first, second, *_ = sorted([event.t0, *(each.t0 for each in event.second_impacts)])
+    first, second, *_ = event.blows
     return Element(table="I", name=name, unit="s", values=(second - first,))
 
 

@@ -55,7 +55,8 @@ def events_of(
     events = [_of_group(case, group) for group in _grouped(case, found)]
     events += _harsh(case, vehicle_class, events)
     low, high = (-np.inf, np.inf) if between is None else between
-    return tuple(sorted((each for each in events if low <= each.t0 <= high), key=lambda each: each.t0))
+    asked = [each for each in events if any(low <= t <= high for t in each.blows)]
+    return tuple(sorted(asked, key=lambda each: each.t0))
 
 
 def _grouped(case: Case, found: list[Finding]) -> list[list[Finding]]:

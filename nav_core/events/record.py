@@ -310,9 +310,14 @@ class CrashEvent:
         return None if self.pdof is None else round(float(np.degrees(self.pdof.value)) / 30.0) % 12 or 12
 
     @property
+    def blows(self) -> tuple[float, ...]:
+        """Time zero of every blow, box clock, s, in order."""
+        return tuple(sorted([self.t0, *(each.t0 for each in self.second_impacts)]))
+
+    @property
     def begins(self) -> float:
         """Time zero of the first blow, box clock, s."""
-        return min([self.t0, *(each.t0 for each in self.second_impacts)])
+        return self.blows[0]
 
     @property
     def ends(self) -> float:

@@ -12,7 +12,7 @@ from sqlalchemy import Select, select, tuple_
 from sqlalchemy.orm import Session
 
 from server.errors import NotFoundError
-from server.models import Batch, ChainSeal, Event, EventAction, EventInput, EventRevision
+from server.models import Batch, ChainSeal, Device, Event, EventAction, EventInput, EventRevision, Vehicle
 
 MAX_DOCUMENT_BYTES = 256 * 1024 * 1024
 
@@ -135,6 +135,16 @@ def judged_otherwise(
     if until < float("inf"):
         query = query.where(Event.at < dt.datetime.fromtimestamp(until, dt.UTC))
     return session.scalars(query.order_by(Event.at).limit(limit)).all()
+
+
+def names(session: Session, device_id: str, vehicle_id: str | None) -> dict[str, str | None]:
+    """What device and vehicle are called now, as a revision keeps it."""
+    device, vehicle = session.get_one(Device, device_id), session.get(Vehicle, vehicle_id) if vehicle_id else None
+    return {
+        "device_name": device.name,
+        "vehicle_name": None if vehicle is None else vehicle.name,
+        "plate": None if vehicle is None else vehicle.plate,
+    }
 
 
 def newest_seal(session: Session, device_id: str) -> ChainSeal | None:

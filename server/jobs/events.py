@@ -305,6 +305,8 @@ class Events:
                 ):
                     return
         row = row or self._made(boot, event)
+        with self._database.reading() as session:
+            names = queries.names(session, row.device_id, row.vehicle_id)
         row.revision += 1
         row.kind, row.severe = event.kind, event.severe or row.severe
         row.t0_s, row.t_end_s, row.at = event.t0, event.t_end, boot.utc(event.t0)
@@ -321,6 +323,7 @@ class Events:
                 input_sha256=found.document["inputs"]["sha256"],
                 event_sha256=hashed,
                 document=zstandard.ZstdCompressor(level=6).compress(content),
+                **names,
             )
         )
         for batch in found.batches:

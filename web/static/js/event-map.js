@@ -77,7 +77,11 @@ class EventMap extends HTMLElement {
     });
     map.addLayer({
       id: "mark-words", type: "symbol", source: "marks",
-      layout: { "text-field": ["get", "say"], "text-size": 12, "text-anchor": "top", "text-offset": [0, 0.8], "text-allow-overlap": true },
+      // Where impact and rest lie close together, their words go to different sides.
+      layout: {
+        "text-field": ["get", "say"], "text-size": 12, "text-variable-anchor": ["top", "bottom", "right", "left", "top-right", "top-left", "bottom-right", "bottom-left"],
+        "text-radial-offset": 0.9, "text-justify": "auto",
+      },
       paint: { "text-color": colour("ink"), "text-halo-color": colour("card"), "text-halo-width": 1.5 },
     });
   }
