@@ -181,9 +181,7 @@ def test_the_report_of_a_revision_stays_the_same_when_things_are_renamed(world, 
     assert zipped(admin.get(archive).content, "report-en.pdf") == reports
     # What is computed from then on has the names of then.
     world.reconstructor.events = [crash(T0, status="settling")]
-    (again,) = reprocess(
-        world.database, world.store, [event["id"]], clock=world.clock, reconstructor=world.reconstructor
-    )
+    again = reprocess(world.database, world.store, event["id"], clock=world.clock, reconstructor=world.reconstructor)
     assert again.outcome == "revised"
     revisions = world.rows(EventRevision, EventRevision.number)
     newest = [row for row in revisions if row.event_id == event["id"]][-1]
