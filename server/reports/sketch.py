@@ -222,7 +222,7 @@ class WayMap(Flowable):
             canvas.setFillColor(colour)
             canvas.circle(px, py, 2.6, stroke=0, fill=1)
             text = self._words(name)
-            box = _room(px, py, stringWidth(text, PLAIN, 7), taken)
+            box = room_beside(px, py, stringWidth(text, PLAIN, 7), taken)
             taken.append(box)
             canvas.drawString(box[0], box[1] + 1.5, text)
 
@@ -252,7 +252,7 @@ Box = tuple[float, float, float, float]
 """Left, bottom, right, top."""
 
 
-def _room(x: float, y: float, width: float, taken: list[Box]) -> Box:
+def room_beside(x: float, y: float, width: float, taken: list[Box]) -> Box:
     """A place for a word beside a dot where nothing is yet: right, left, above, below, and so on further out."""
     for away in (0.0, 9.0, 18.0, 27.0, 36.0):
         for left, bottom in (
