@@ -160,8 +160,8 @@ class Gnss:
 
     def rows(self, which: Flags | slice) -> Gnss:
         """Some of the fixes."""
-        columns = {name: getattr(self, name) for name in Gnss.__dataclass_fields__}
-        return Gnss(**{name: None if values is None else values[which] for name, values in columns.items()})
+        known = {name: getattr(self, name) for name in Gnss.__dataclass_fields__ if getattr(self, name) is not None}
+        return Gnss(**{name: values[which] for name, values in known.items()})
 
 
 @dataclass(frozen=True, slots=True)

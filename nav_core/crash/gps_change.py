@@ -156,7 +156,7 @@ def level_before(gnss: Gnss, lags: Lags, stream: Stream, t0: float) -> Level | N
     first, last = np.searchsorted(stream.t, [t0 - LOOK_BACK - 0.5, t0 + 1e-9])
     cut = first + 1 + np.flatnonzero(stream.step[first + 1 : last] == 0.0)
     first = int(cut[-1]) if cut.size else int(first)
-    part = Stream(*(column[first:last] for column in stream))
+    part = stream.rows(slice(first, int(last)))
     if part.t.size < 2 or lags.sigma > LONGEST_LAG_SIGMA:
         return None
     at = gnss.t - lags.speed
@@ -234,9 +234,9 @@ def before(gnss: Gnss, lags: Lags, stream: Stream, steady: Gravity, t0: float) -
     z = speed + gained[:, 0]
     # One error of the level runs through all of them, and one of how far the body pitches.
     C = repeating(at, SPEED_NOISE) + np.outer(uncertain, uncertain)
-    C += DIVE_SIGMA**2 * np.outer(gained[:, 0], gained[:, 0])
+    pitched = DIVE_SIGMA**2 * np.outer(gained[:, 0], gained[:, 0])
     shift = (1.0 - DIVE) * _gained(stream, steady.f, at - lags.sigma, t0)[0][:, 0] - gained[:, 0]
-    value, sigma = combine(z, C + np.outer(shift, shift))
+    value, sigma = combine(z, C + pitched + np.outer(shift, shift))
     course, course_sigma = _course(gnss, lags, stream, steady, t0)
     return Before(max(value, 0.0), sigma, course, course_sigma, int(use.sum()))
 

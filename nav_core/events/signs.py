@@ -25,8 +25,7 @@ LOOKS_AFTER = 0.25
 def core_of(stream: Stream, first: int, last: int) -> int:
     """The sample in a run of triggers from which the next 20 ms change most."""
     stop = int(np.searchsorted(stream.t, stream.t[last] + 0.15, side="right"))
-    part = Stream(*(column[first:stop] for column in stream))
-    return first + int(np.argmax(change_within(part, 0.020)))
+    return first + int(np.argmax(change_within(stream.rows(slice(first, stop)), 0.020)))
 
 
 def window_at(scene: Scene, core: int, *, threshold: float = THRESHOLD) -> Window:

@@ -69,6 +69,10 @@ class Stream(NamedTuple):
         """`v` between the samples, shape (k, 3)."""
         return np.column_stack([np.interp(t, self.t, self.v[:, axis]) for axis in range(3)])
 
+    def rows(self, part: slice) -> Stream:
+        """Some of the samples."""
+        return Stream(self.t[part], self.f[part], self.step[part], self.rest[part], self.v[part], self.calm[part])
+
     def mean(self, begin: float, end: float) -> Floats | None:
         """Mean specific force from..to, box clock, s; None without samples."""
         first, last = np.searchsorted(self.t, [begin, end])
