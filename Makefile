@@ -37,7 +37,7 @@ bench: setup  ## Speed of the numerics and of the ingest path; WRITE=docs/perfor
 bench-mounting: setup  ## Over 2000 simulated drives: docs/mounting-benchmark.md (resumable, half an hour)
 	$(BIN)/python benchmarks/mounting.py
 
-bench-crash: setup  ## 500 simulated crashes, 200 hours without one; writes docs/crash-benchmark.md (half an hour)
+bench-crash: setup  ## 500 simulated crashes, 200 hours without one; writes docs/crash-benchmark.md (half an hour; goes on where it was stopped)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/crash.py
 
 bench-moved: setup  ## False and missed alarms of a moved box, 3000 h (hours to run; goes on where it was stopped)

@@ -32,7 +32,7 @@ def reconstruct_drive(
     vehicle_class : {"car", "van", "truck", "bus", "motorcycle"}
         Thresholds of harsh driving and road shocks.
     between : tuple of float, optional
-        Only events whose time zero lies in this span of the box clock, s; the rest of the recording is context.
+        Only events of which a blow begins in this span of the box clock, s; the rest of the recording is context.
 
     Returns
     -------

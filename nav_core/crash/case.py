@@ -10,6 +10,7 @@ import numpy as np
 from nav_core.crash.clipping import Saturation, saturated
 from nav_core.crash.gps_change import Lags, lags_of, usable
 from nav_core.errors import TooLittleDataError
+from nav_core.events.level import usual_force
 from nav_core.events.trigger import Stream, stream_of
 from nav_core.records import Drive, Gnss, Inertial, MountingEstimate, Remark
 from nav_core.timebase import ClockFit, fit_clock
@@ -92,7 +93,7 @@ def case_of(drive: Drive, mounting: MountingEstimate) -> Case:
         if mounting.status != "ready":
             remarks.append(Remark("mounting_settling", "The mounting was not yet sure; its sigma is carried through."))
     else:
-        R_va, sigma = levelled(inertial.f), np.array([TILT_OPEN, TILT_OPEN, YAW_OPEN])
+        R_va, sigma = levelled(inertial), np.array([TILT_OPEN, TILT_OPEN, YAW_OPEN])
         remarks.append(Remark("mounting_unknown", f"The mounting is {mounting.status}: only resultants are given."))
     gnss = usable(drive.gnss)
     if gnss is None:
@@ -115,20 +116,9 @@ def case_of(drive: Drive, mounting: MountingEstimate) -> Case:
     )
 
 
-def levelled(f: Floats) -> Floats:
-    """Mounting of unknown heading that puts the usual specific force straight up, shape (3, 3).
-
-    Parameters
-    ----------
-    f : ndarray, shape (n, 3)
-        Specific force, A-frame, m/s².
-
-    Returns
-    -------
-    ndarray, shape (3, 3)
-        ``R_va`` up to a turn about V's z axis.
-    """
-    z = -np.median(f, axis=0)
+def levelled(inertial: Inertial) -> Floats:
+    """Mounting of unknown heading that puts the usual specific force straight up, shape (3, 3)."""
+    z = -usual_force(inertial.t, inertial.f)
     size = float(np.linalg.norm(z))
     z = z / size if size > 1.0 else np.array([0.0, 0.0, 1.0])
     x: Floats = np.eye(3)[int(np.argmin(np.abs(z)))]
@@ -138,30 +128,15 @@ def levelled(f: Floats) -> Floats:
     return R
 
 
-def until(drive: Drive, t: float) -> Drive:
-    """The recording before a moment.
-
-    Parameters
-    ----------
-    drive : Drive
-        One recording.
-    t : float
-        Box clock, s.
-
-    Returns
-    -------
-    Drive
-        Samples and fixes before `t`.
-    """
-    inertial, gnss = drive.inertial, drive.gnss
-    n, k = int(np.searchsorted(inertial.t, t)), int(np.searchsorted(gnss.t, t))
-
-    def cut(values: Floats | None, count: int) -> Floats | None:
-        return None if values is None else values[:count]
-
-    before = Inertial(inertial.t[:n], inertial.f[:n], cut(inertial.w, n), cut(inertial.m, n), cut(inertial.temp, n))
-    columns = {name: cut(getattr(gnss, name), k) for name in Gnss.__dataclass_fields__ if name != "fix"}
-    return replace(drive, inertial=before, gnss=Gnss(fix=gnss.fix[:k], **columns))  # pyright: ignore[reportArgumentType]
+def between(drive: Drive, begin: float, end: float) -> Drive:
+    """The recording from a moment until before another, box clock, s."""
+    inertial = drive.inertial
+    rows = slice(*np.searchsorted(inertial.t, [begin, end]).tolist())
+    w, m, temp = (None if values is None else values[rows] for values in (inertial.w, inertial.m, inertial.temp))
+    part = Inertial(inertial.t[rows], inertial.f[rows], w, m, temp)
+    return replace(
+        drive, inertial=part, gnss=drive.gnss.rows(slice(*np.searchsorted(drive.gnss.t, [begin, end]).tolist()))
+    )
 
 
 def _clock(gnss: Gnss) -> ClockFit | None:

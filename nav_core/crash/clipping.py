@@ -23,7 +23,12 @@ FLAT = 1e-3
 """Samples this close to the largest are at the same value, share of it."""
 
 RUN = 3
-"""So many in a row at one value are clipped wherever that is: no pulse stays flat to `FLAT` for so long."""
+"""So many in a row at one value are looked at, wherever that is: a smooth peak may be so flat, sampled fast enough."""
+
+NEAR = 9.0 * FLAT
+ROUND = 2.0
+"""A smooth peak is within `NEAR` of its top three times as long as within `FLAT`, being a parabola there whatever the
+rate; a rail is met at a slope.  Less than so many times as long is a rail."""
 
 DIRECTION = 0.06
 """How far, at the least, the direction of a force strays within a pulse, rad, 1 sigma."""
@@ -73,17 +78,24 @@ def saturated(f_a: Floats, known: float | None = None) -> Saturation:
     in_g = top / STANDARD_GRAVITY
     sold = min(abs(in_g - each) / each for each in RANGES) < FLAT
     expected = known is not None and top >= (1.0 - FLAT) * known
-    if not (sold or expected or _longest_run(at_top) >= RUN):
-        return nothing
-    return Saturation(at_top, top)
+    flat, near = _longest_run(at_top, size >= (1.0 - NEAR) * top)
+    rail = near < ROUND * flat if flat >= RUN else sold
+    return Saturation(at_top, top) if rail or expected else nothing
 
 
-def _longest_run(flags: Flags) -> int:
-    longest = 0
-    for column in flags.T:
+def _longest_run(flags: Flags, wider: Flags) -> tuple[int, int]:
+    """Length of the longest run of flags in a column, and of the run of wider flags that it lies in, samples."""
+    longest = around = 0
+    for column, outer in zip(flags.T, wider.T, strict=True):
         edges = np.flatnonzero(np.diff(np.concatenate([[False], column, [False]]).astype(np.int8)))
-        longest = max(longest, int(np.max(edges[1::2] - edges[::2], initial=0)))
-    return longest
+        lengths = edges[1::2] - edges[::2]
+        if lengths.max(initial=0) > longest:
+            k = int(np.argmax(lengths))
+            longest, begin = int(lengths[k]), int(edges[2 * k])
+            outside = np.concatenate([[-1], np.flatnonzero(~outer), [outer.size]])
+            j = int(np.searchsorted(outside, begin))
+            around = int(outside[j] - outside[j - 1]) - 1
+    return longest, around
 
 
 class Missing(NamedTuple):
@@ -97,14 +109,20 @@ class Missing(NamedTuple):
         1 sigma of the logarithm of the missing impulse; 0 when nothing is missing.
     misfit : float
         How far the flanks stray from the fit, against what was allowed (1: as allowed).
+    stray : float
+        1 sigma of the direction of what is missing, rad.
+    bent : float
+        How far the direction of the samples that did not clip strays from one, rms, rad.
     """
 
     a: Floats
     spread: float
     misfit: float
+    stray: float = 0.0
+    bent: float = 0.0
 
 
-def restore(t: Floats, a: Floats, H: Floats, clipped: Flags) -> Missing:
+def restore(t: Floats, a: Floats, H: Floats, clipped: Flags, unsure: float = 0.0) -> Missing:
     """Estimate the acceleration behind clipped samples.
 
     Parameters
@@ -112,18 +130,21 @@ def restore(t: Floats, a: Floats, H: Floats, clipped: Flags) -> Missing:
     t : ndarray, shape (n,)
         s.
     a : ndarray, shape (n, 3)
-        Acceleration as recorded, V axes at time zero, m/s².
+        Acceleration as recorded, V axes at time zero, less what is not of the blow, m/s².
     H : ndarray, shape (n, 3, 3)
         The sensor's axes from those of `a`, each sample.
     clipped : ndarray of bool, shape (n, 3)
         By sensor axis.
+    unsure : float
+        1 sigma of what was taken off `a`, m/s².
 
     Returns
     -------
     Missing
     """
     y = np.einsum("nij,nj->ni", H, a)
-    u, s, variance, stray = _one_direction(y, H, clipped)
+    u, s, variance, bent = _one_direction(y, H, clipped, unsure)
+    stray = max(DIRECTION, bent)
     along = np.einsum("nij,j->ni", H, u)
     sign = np.sign(y)
     # A clipped axis says that the force along u is at least this.
@@ -142,16 +163,21 @@ def restore(t: Floats, a: Floats, H: Floats, clipped: Flags) -> Missing:
     along_u = weights * (added @ u)
     impulse = float(along_u.sum())
     if impulse <= 0.0:
-        return Missing(a, 0.0, curve.misfit)
+        return Missing(a, 0.0, curve.misfit, 0.0, bent)
     # What is missing along u, sample by sample, and how much of the curve's spread falls on it.
     share = np.clip((added @ u) / np.maximum(full, 1e-9), 0.0, 1.0)
     guessed = float(along_u[~told].sum())
-    parts = [curve.sigma(weights * share), stray * impulse, LEAST * impulse, SHAPE * guessed]
-    return Missing(a + added, float(np.sqrt(np.log1p((np.linalg.norm(parts) / impulse) ** 2))), curve.misfit)
+    # An axis that hardly feels the force, where no other is left to tell, makes as much larger what is not of it.
+    seen = np.where(clipped, 0.0, along**2).sum(axis=1)
+    off = unsure * float((weights / np.sqrt(np.clip(seen, 0.01, 1.0)))[told].sum() + weights[~told].sum())
+    parts = [curve.sigma(weights * share), stray * impulse, LEAST * impulse, SHAPE * guessed, off]
+    return Missing(
+        a + added, float(np.sqrt(np.log1p((np.linalg.norm(parts) / impulse) ** 2))), curve.misfit, stray, bent
+    )
 
 
-def _one_direction(y: Floats, H: Floats, clipped: Flags) -> tuple[Floats, Floats, Floats, float]:
-    """The direction the force keeps, its size at each sample with variance, and how far it strays.
+def _one_direction(y: Floats, H: Floats, clipped: Flags, unsure: float) -> tuple[Floats, Floats, Floats, float]:
+    """The direction the force keeps, its size at each sample with variance, and how far it strays, rms, rad.
 
     Alternating least squares over the axes that did not clip.  The size is NaN where none tells it.
     """
@@ -178,6 +204,7 @@ def _one_direction(y: Floats, H: Floats, clipped: Flags) -> tuple[Floats, Floats
     off = np.where(free, y - s[:, None] * along, 0.0)
     loud = whole & (s > 0.3 * s.max(initial=1e-9))
     ratio = np.sqrt(np.einsum("ni,ni->n", off[loud], off[loud]) / 2.0) / np.maximum(s[loud], 1e-9)
-    stray = max(DIRECTION, float(np.sqrt(np.mean(ratio**2)))) if loud.any() else 3.0 * DIRECTION
-    variance = (NOISE**2 + np.where(whole, 0.0, (stray * np.maximum(s, 0.0)) ** 2)) / np.maximum(seen, 1e-6)
-    return u, np.where(seen > 0.01, s, np.nan), variance, stray
+    bent = float(np.sqrt(np.mean(ratio**2))) if loud.any() else 3.0 * DIRECTION
+    stray = max(DIRECTION, bent)
+    variance = (NOISE**2 + unsure**2 + np.where(whole, 0.0, (stray * np.maximum(s, 0.0)) ** 2)) / np.maximum(seen, 1e-6)
+    return u, np.where(seen > 0.01, s, np.nan), variance, bent

@@ -231,7 +231,8 @@ def _between(event: CrashEvent) -> Element:
     name = "Time from event 1 to 2"
     if not event.second_impacts:
         return Element(table="I", name=name, unit="s", note="not recorded: one event")
-    return Element(table="I", name=name, unit="s", values=(event.second_impacts[0].t0 - event.t0,))
+    first, second, *_ = event.blows
+    return Element(table="I", name=name, unit="s", values=(second - first,))
 
 
 def _complete(event: CrashEvent) -> bool:

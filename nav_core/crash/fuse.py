@@ -26,6 +26,10 @@ DISAGREES = 18.0
 """Chi square of two degrees of freedom beyond which fixes and accelerometer contradict each other (1 in 8000)."""
 
 
+WIDER = (2.0, 4.0)
+"""How many times worse than it thought a guess at what clipping hides may be, where the fixes say so."""
+
+
 class Change(NamedTuple):
     """A horizontal change of velocity by the accelerometer.
 
@@ -181,7 +185,19 @@ def fuse(change: Change, gps: Floats | None = None, gps_covariance: Floats | Non
     -------
     Cloud
         Without the fixes where they contradict the accelerometer: then one of them is wrong, and not by chance.
+        But where only the guess at what clipping hides contradicts them, that guess is taken to be worse than it
+        thought: what was recorded is sure, and so are the fixes.
     """
+    cloud = _fused(change, gps, gps_covariance)
+    for wider in WIDER if change.spread > 0.0 and gps is not None else ():
+        if cloud.fused:
+            break
+        doubted = _fused(change._replace(spread=wider * change.spread), gps, gps_covariance)
+        cloud = doubted if doubted.fused else cloud
+    return cloud
+
+
+def _fused(change: Change, gps: Floats | None, gps_covariance: Floats | None) -> Cloud:
     u = np.linspace(-4.0, 7.0, FACTORS) if change.spread > 0.0 else np.zeros(1)
     odds = -(FREEDOM + 1.0) * np.log1p(u**2 / FREEDOM)  # twice the logarithm
     factor, prior = np.exp(change.spread * u), np.exp(0.5 * odds)

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from nav_core.events.level import Gravity
 from nav_core.events.trigger import Stream
 from nav_core.records import Gnss
 from nav_core.rotation import wrap
@@ -54,8 +55,8 @@ LEVEL = 0.08
 LOOK_BACK = 4.0
 """Gravity and bias are taken from at most this long before a blow, s."""
 
-DIVE = 0.03
-"""1 sigma of the share by which pitching makes a braking look stronger: usual cars dive some 2° per g."""
+DIVE, DIVE_SIGMA = 0.015, 0.02
+"""Share by which pitching makes a braking look stronger, and its 1 sigma: cars dive by 0 to 3° per g."""
 
 UNSEEN = 1.5
 """Presumed acceleration where the recording has no samples, m/s²."""
@@ -67,14 +68,6 @@ class Lags(NamedTuple):
     speed: float
     course: float
     sigma: float
-
-
-class Steady(NamedTuple):
-    """Specific force of gravity and bias alone, V axes, m/s², (3,); 1 sigma of each horizontal one; seconds used."""
-
-    f: Floats
-    sigma: float
-    span: float
 
 
 class Before(NamedTuple):
@@ -211,7 +204,7 @@ def level_before(gnss: Gnss, lags: Lags, stream: Stream, t0: float) -> Level | N
     first, last = np.searchsorted(stream.t, [t0 - LOOK_BACK - 0.5, t0 + 1e-9])
     cut = first + 1 + np.flatnonzero(stream.step[first + 1 : last] == 0.0)
     first = int(cut[-1]) if cut.size else int(first)
-    part = Stream(*(column[first:last] for column in stream))
+    part = stream.rows(slice(first, int(last)))
     if part.t.size < 2 or lags.sigma > LONGEST_LAG_SIGMA:
         return None
     at = gnss.t - lags.speed
@@ -219,8 +212,9 @@ def level_before(gnss: Gnss, lags: Lags, stream: Stream, t0: float) -> Level | N
     if use.sum() < 4 or np.ptp(at[use]) < 0.4 * LOOK_BACK:
         return None
     at, speed = at[use], gnss.speed[use]
-    x = np.column_stack([part.f[:, 0], np.ones(part.t.size)])
+    x = np.column_stack([(1.0 - DIVE) * part.f[:, 0], np.ones(part.t.size)])
     forward, sigma = _fit(part, x, at, speed, np.full(at.size, SPEED_NOISE), lags.sigma, t0)
+    forward /= 1.0 - DIVE
     v = np.interp(part.t, at, speed)
     at = gnss.t - lags.course
     use = (at >= part.t[0]) & (gnss.t <= t0)
@@ -249,11 +243,15 @@ def _fit(
     # A fit worse than the fixes' noise says so.
     worse = max(1.0, float(left @ left) / max(at.size - 2, 1))
     shift = late[:, 0] - value * late[:, 1]
-    C = worse * repeating(at, 1.0) * np.outer(noise, noise) + np.outer(shift, shift) + DIVE**2 * np.outer(own, own)
+    C = (
+        worse * repeating(at, 1.0) * np.outer(noise, noise)
+        + np.outer(shift, shift)
+        + DIVE_SIGMA**2 * np.outer(own, own)
+    )
     return value, float(np.sqrt(weight @ C @ weight))
 
 
-def before(gnss: Gnss, lags: Lags, stream: Stream, steady: Steady, t0: float) -> Before | None:
+def before(gnss: Gnss, lags: Lags, stream: Stream, steady: Gravity, t0: float) -> Before | None:
     """Speed and course at `t0` from the fixes before it.
 
     Parameters
@@ -263,7 +261,7 @@ def before(gnss: Gnss, lags: Lags, stream: Stream, steady: Steady, t0: float) ->
     lags : Lags
     stream : Stream
         In V axes.
-    steady : Steady
+    steady : Gravity
         Gravity and bias, V axes.
     t0 : float
         Box clock, s.
@@ -280,16 +278,18 @@ def before(gnss: Gnss, lags: Lags, stream: Stream, steady: Steady, t0: float) ->
         return None
     at, speed = described[use], gnss.speed[use]
     gained, uncertain = _gained(stream, steady.f, at, t0, _unsteady(at, speed), steady.sigma)
+    gained[:, 0] *= 1.0 - DIVE
     z = speed + gained[:, 0]
     # One error of the level runs through all of them, and one of how far the body pitches.
-    C = repeating(at, SPEED_NOISE) + np.outer(uncertain, uncertain) + DIVE**2 * np.outer(gained[:, 0], gained[:, 0])
-    shift = _gained(stream, steady.f, at - lags.sigma, t0)[0][:, 0] - gained[:, 0]
-    value, sigma = combine(z, C + np.outer(shift, shift))
+    C = repeating(at, SPEED_NOISE) + np.outer(uncertain, uncertain)
+    pitched = DIVE_SIGMA**2 * np.outer(gained[:, 0], gained[:, 0])
+    shift = (1.0 - DIVE) * _gained(stream, steady.f, at - lags.sigma, t0)[0][:, 0] - gained[:, 0]
+    value, sigma = combine(z, C + pitched + np.outer(shift, shift))
     course, course_sigma = _course(gnss, lags, stream, steady, t0)
     return Before(max(value, 0.0), sigma, course, course_sigma, int(use.sum()))
 
 
-def _course(gnss: Gnss, lags: Lags, stream: Stream, steady: Steady, t0: float) -> tuple[float, float]:
+def _course(gnss: Gnss, lags: Lags, stream: Stream, steady: Gravity, t0: float) -> tuple[float, float]:
     described = gnss.t - lags.course
     use = (gnss.t <= t0) & (described >= t0 - BEFORE - lags.sigma) & (gnss.speed > SLOW) & np.isfinite(gnss.course)
     if not use.any():

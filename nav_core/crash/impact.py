@@ -7,13 +7,14 @@ from typing import NamedTuple
 import numpy as np
 
 from nav_core.crash.case import Case
-from nav_core.crash.clipping import restore
+from nav_core.crash.clipping import Missing, restore
 from nav_core.crash.filters import LEAST_RATE, cfc
 from nav_core.crash.fuse import Change, Cloud, fuse
-from nav_core.crash.gps_change import AFTER, After, Before, Steady, after, before, level_before
+from nav_core.crash.gps_change import AFTER, DIVE, DIVE_SIGMA, SETTLED, After, Before, after, before, level_before
 from nav_core.crash.lacks import Lacks, lacks_of
 from nav_core.crash.pulse import Blow, blow_of, steady_before
-from nav_core.events.trigger import Window
+from nav_core.events.level import Gravity
+from nav_core.events.trigger import Stream, Window
 from nav_core.records import Gnss
 from nav_core.typing import Flags, Floats
 
@@ -33,6 +34,21 @@ is taken as noise that adds up sample by sample."""
 HELD = 0.1
 """Share of a turn during the blow that a gyro sampled with the accelerometer may miss, 1 sigma."""
 
+FADES = 0.5
+"""Less than this of what acts besides a blow is not looked at closer, m/s²."""
+
+BESIDE = 0.06
+"""What acts besides a blow is the mean of so long before and after it, s."""
+
+LEANS = 0.25
+"""The suspension follows the mean braking of so long, s."""
+
+LATER_LEVEL = 0.4
+"""1 sigma by which gravity along the box's axes changes in a blow that pitches, rolls and turns the vehicle, m/s²."""
+
+LATER_SPEED = 0.6
+"""1 sigma of what braking and sliding between two blows leave open of the speed by the fixes, m/s."""
+
 JITTER = 0.025
 """1 sigma of vibration and noise left in an integral, m/s."""
 
@@ -47,7 +63,7 @@ class Impact(NamedTuple):
     Attributes
     ----------
     blow : Blow
-    steady : Steady
+    steady : Gravity
     filled : ndarray, shape (n, 3)
         Acceleration with the estimate where clipped, consistent with `cloud`, m/s².
     clipped : ndarray of bool, shape (n,)
@@ -69,7 +85,7 @@ class Impact(NamedTuple):
     """
 
     blow: Blow
-    steady: Steady
+    steady: Gravity
     filled: Floats
     clipped: Flags
     clipped_samples: int
@@ -83,7 +99,7 @@ class Impact(NamedTuple):
     from_gps: Floats | None
 
 
-def impact_of(case: Case, window: Window, *, with_gps: bool = True) -> Impact:
+def impact_of(case: Case, window: Window, earlier: Impact | None = None) -> Impact:
     """Work out one blow.
 
     Parameters
@@ -92,31 +108,34 @@ def impact_of(case: Case, window: Window, *, with_gps: bool = True) -> Impact:
         The recording.
     window : Window
         Of the case's stream.
-    with_gps : bool
-        Let the fixes take part; of a second blow soon after the first they cannot.
-
-    Returns
-    -------
-    Impact
-        Accelerations, m/s², and changes of velocity, m/s, in the V axes at time zero.
+    earlier : Impact, optional
+        A blow shortly before: gravity and bias are taken from before it, and of the fixes only those after it
+        tell the speed.  Where the vehicle then points they do not tell, so they have no say in delta-V.
     """
     stream = case.stream
     t0 = float(stream.t[window.zero])
-    gnss = case.gnss if with_gps else None
-    level = level_before(gnss, case.lags, stream, t0) if gnss is not None and case.yaw_known else None
-    steady = steady_before(stream, t0, level)
-    blow = blow_of(stream, window, steady, case.w_v, margin=MARGIN, tail=AFTER + 0.1)
+    gnss = case.gnss
+    if earlier is None:
+        level = level_before(gnss, case.lags, stream, t0) if gnss is not None and case.yaw_known else None
+        steady = steady_before(stream, t0, level, float(max(case.sigma[:2])))
+    else:
+        steady = earlier.steady._replace(sigma=float(np.hypot(earlier.steady.sigma, LATER_LEVEL)))
+    leaning = _leaning(stream, steady, t0) if earlier is None else steady
+    blow = blow_of(stream, window, leaning, case.w_v, margin=MARGIN, tail=AFTER + 0.1)
     first = int(np.searchsorted(stream.t, blow.t[0]))
     flags = case.saturation.flags[first : first + blow.t.size]
-    filled, spread = _restored(case, blow, flags)
+    filled, spread, stray = _restored(case, blow, flags)
     part = slice(blow.zero, blow.last + 1)
     trace = blow.velocity(filled)
     smooth = blow.velocity(structural(case, blow, filled))[part]
     k = blow.zero + int(np.argmax(np.hypot(smooth[:, 0], smooth[:, 1])))
 
-    known = None if gnss is None else before(gnss, case.lags, stream, steady, t0)
     seen = None
-    if gnss is not None and known is not None and case.yaw_known:
+    if earlier is not None:
+        known = speed_between(case, earlier, steady, t0)
+    else:
+        known = None if gnss is None else before(gnss, case.lags, stream, steady, t0)
+    if gnss is not None and known is not None and earlier is None and case.yaw_known:
         seen = _seen(case, gnss, known, blow, trace)
     recorded, lacks = blow.v[k, :2], lacks_of(blow, case.rate)
     missing = trace[k, :2] - recorded
@@ -124,7 +143,7 @@ def impact_of(case: Case, window: Window, *, with_gps: bool = True) -> Impact:
         recorded,
         missing,
         spread,
-        _covariance(case, blow, trace[k, :2], k, steady) + lacks.unsure**2 * np.eye(2),
+        _covariance(case, blow, trace[k, :2], k, leaning) + lacks.unsure**2 * np.eye(2) + stray**2 * _across(missing),
         _turn(case, blow, k),
     )
     gps, covariance = None, None
@@ -147,6 +166,34 @@ def impact_of(case: Case, window: Window, *, with_gps: bool = True) -> Impact:
         seen=seen,
         from_gps=gps,
     )
+
+
+def speed_between(case: Case, earlier: Impact, steady: Gravity, t0: float) -> Before | None:
+    """Speed over ground just before a further blow: carried on through the one before it, and by fixes since.
+
+    None when neither tells.  The course is not told: the vehicle may slide any way.
+    """
+    first, told = earlier.blow, list[tuple[float, float, int]]()
+    since = float(first.t[first.last])
+    if earlier.known is not None and first.t[-1] >= t0:
+        trace = first.velocity(earlier.filled)
+        gained = np.array([np.interp(t0, first.t, trace[:, axis]) for axis in range(2)]) - trace[earlier.k, :2]
+        velocity = earlier.cloud.mean + gained + [earlier.known.speed, 0.0]
+        off = earlier.cloud.points - earlier.cloud.mean
+        spread = float(np.sqrt(np.einsum("k,kj,kj->", earlier.cloud.weights, off, off) / 2.0))
+        sigma = float(np.linalg.norm([spread, earlier.known.sigma, steady.sigma * (t0 - since)]))
+        told.append((float(np.hypot(*velocity)), sigma, earlier.known.fixes))
+    if case.gnss is not None:
+        late = case.gnss.t - case.lags.speed >= since + SETTLED + 2.0 * case.lags.sigma
+        seen = before(case.gnss.rows(late), case.lags, case.stream, steady, t0) if late.any() else None
+        if seen is not None:
+            # What the accelerometer gains of a vehicle that slides sideways is not all along its way.
+            told.append((seen.speed, float(np.hypot(seen.sigma, LATER_SPEED)), seen.fixes))
+    if not told:
+        return None
+    weight = np.array([sigma**-2.0 for _, sigma, _ in told])
+    speed = float(weight @ [value for value, _, _ in told] / weight.sum())
+    return Before(speed, float(weight.sum() ** -0.5), np.nan, np.nan, max(count for _, _, count in told))
 
 
 def structural(case: Case, blow: Blow, a: Floats) -> Floats:
@@ -181,17 +228,53 @@ def _rough(a: Floats) -> float:
     return float(np.sqrt(np.mean(off**2) / max(np.mean(a**2), 1e-9)))
 
 
-def _restored(case: Case, blow: Blow, flags: Flags) -> tuple[Floats, float]:
-    """Acceleration with an estimate in place of what was clipped, and the spread of that estimate."""
+def _across(v: Floats) -> Floats:
+    """Covariance of a vector (2,) whose direction alone is unsure, by 1 rad."""
+    return np.outer([-v[1], v[0]], [-v[1], v[0]])
+
+
+def _restored(case: Case, blow: Blow, flags: Flags) -> tuple[Floats, float, float]:
+    """Acceleration with an estimate in place of what was clipped, its spread and 1 sigma of its direction, rad."""
     begin = max(int(np.searchsorted(blow.t, blow.t[blow.zero] - 0.03)), 0)
     part = slice(begin, blow.last + 1)
     if case.saturation.full_scale is None or not flags[part].any():
-        return blow.a, 0.0
+        return blow.a, 0.0, 0.0
     H = np.einsum("ji,nkj->nik", case.R_va, blow.C[part])  # R_va^T C^T
-    known = restore(blow.t[part], blow.a[part], H, flags[part])
+    tries: list[tuple[Missing, Floats]] = []
+    ends = _beside(blow, flags)
+    # When the one gave way to the other is not told, but a wrong guess bends the direction of the flanks.
+    unsure = float(np.linalg.norm(ends[1] - ends[0])) / np.sqrt(12.0)
+    elapsed = np.clip((blow.t[part] - blow.t[blow.zero]) / max(blow.t[blow.last] - blow.t[blow.zero], 1e-9), 0.0, 1.0)
+    for share in (elapsed > 0.0, elapsed, elapsed >= 1.0) if unsure > FADES else (elapsed,):
+        beside = np.outer(1.0 - share, ends[0]) + np.outer(share, ends[1])
+        tries.append((restore(blow.t[part], blow.a[part] - beside, H, flags[part], unsure), beside))
+    known, beside = min(tries, key=lambda each: each[0].bent)
     filled = blow.a.copy()
-    filled[part] = known.a
-    return filled, known.spread
+    filled[part] = known.a + beside
+    return filled, known.spread, known.stray
+
+
+def _leaning(stream: Stream, steady: Gravity, t0: float) -> Gravity:
+    """Gravity and bias of a body that braking has pitched: through a blow it stays so."""
+    now = stream.mean(t0 - LEANS, t0 - 0.005)
+    if now is None:
+        return steady
+    braking = float(now[0] - steady.f[0])
+    f = steady.f + np.array([DIVE * braking, 0.0, 0.0])
+    return steady._replace(f=f, sigma=float(np.hypot(steady.sigma, DIVE_SIGMA * braking)))
+
+
+def _beside(blow: Blow, flags: Flags) -> tuple[Floats, Floats]:
+    """What acts besides the blow, m/s², (3,): brakes before it, sliding after it.
+
+    It does not point the way of the blow, which is what tells clipped axes from those that did not clip.
+    """
+    t, whole = blow.t, ~flags.any(axis=1)
+    begin, end = float(t[blow.zero]), float(t[blow.last])
+    before = whole & (t >= begin - BESIDE) & (t < begin)
+    after = whole & (t > end) & (t <= end + BESIDE)
+    ends = [blow.a[each].mean(axis=0) if each.any() else np.zeros(3) for each in (before, after)]
+    return ends[0], ends[1]
 
 
 def _seen(case: Case, gnss: Gnss, known: Before, blow: Blow, trace: Floats) -> After | None:
@@ -200,7 +283,7 @@ def _seen(case: Case, gnss: Gnss, known: Before, blow: Blow, trace: Floats) -> A
     return after(gnss, case.lags, known, float(blow.t[blow.last]), path)
 
 
-def _covariance(case: Case, blow: Blow, d: Floats, k: int, steady: Steady) -> Floats:
+def _covariance(case: Case, blow: Blow, d: Floats, k: int, steady: Gravity) -> Floats:
     """Of a delta-V that was not clipped: level, vibration, scale and sampling."""
     size = float(np.hypot(*d))
     along = d / max(size, 1e-9)

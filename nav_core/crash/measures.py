@@ -8,7 +8,7 @@ from nav_core.crash.case import Case
 from nav_core.crash.filters import ASI_CUTOFF, LEAST_RATE, evenly
 from nav_core.crash.impact import Impact, structural
 from nav_core.crash.indices import asi_1998, asi_2010, head, olc
-from nav_core.events.classify import OVER, Finding
+from nav_core.events.finding import OVER, Finding
 from nav_core.events.record import Estimate, Indices, Pulse
 from nav_core.records import Remark
 from nav_core.typing import Floats

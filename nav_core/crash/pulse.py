@@ -9,8 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nav_core.crash.gps_change import LEVEL, LOOK_BACK, Level, Steady
+from nav_core.crash.gps_change import LEVEL, LOOK_BACK, Level
 from nav_core.earth import STANDARD_GRAVITY
+from nav_core.events.level import Gravity, gravity_before
 from nav_core.events.trigger import Stream, Window, integrate
 from nav_core.rotation import product, quaternion_to_matrix, rotvec_to_quaternion
 from nav_core.typing import Floats
@@ -19,7 +20,7 @@ MARGIN = 0.005
 """Gravity and bias are taken until this long before `t0`, s."""
 
 
-def steady_before(stream: Stream, t0: float, level: Level | None) -> Steady:
+def steady_before(stream: Stream, t0: float, level: Level | None, tilt: float | None) -> Gravity:
     """Gravity and bias from the seconds before the blow.
 
     Parameters
@@ -29,25 +30,24 @@ def steady_before(stream: Stream, t0: float, level: Level | None) -> Steady:
         Box clock, s.
     level : Level, optional
         What the fixes tell of it.
+    tilt : float, optional
+        1 sigma of how upright the V axes are, rad; None where they are not known to be.
 
     Returns
     -------
-    Steady
-        Without fixes the vehicle's own acceleration stays in it, which the sigma admits.
+    Gravity
+        Without fixes, by `gravity_before`.
     """
     first, last = np.searchsorted(stream.t, [t0 - LOOK_BACK, t0 - MARGIN])
-    if last <= first:
-        near = int(np.searchsorted(stream.t, t0))
-        upright = np.array([0.0, 0.0, -STANDARD_GRAVITY])
-        return Steady(stream.rest[min(near, stream.t.size - 1)] if stream.t.size else upright, 0.6, 0.0)
-    part = stream.f[first:last]
-    span = float(stream.t[last - 1] - stream.t[first])
-    if level is not None:
-        return Steady(np.array([*level.f, part[:, 2].mean()]), max(level.sigma, LEVEL), span)
-    if span < 0.25 * LOOK_BACK:
-        return Steady(part.mean(axis=0), 0.4, span)
-    # The median leaves out a short braking; a long one cannot be told from a slope.
-    return Steady(np.median(part, axis=0), 0.3, span)
+    if level is not None and last > first:
+        span = float(stream.t[last - 1] - stream.t[first])
+        return Gravity(np.array([*level.f, stream.f[first:last, 2].mean()]), max(level.sigma, LEVEL), span)
+    gravity = gravity_before(stream, t0 - MARGIN, tilt)
+    if gravity is not None:
+        return gravity
+    near = int(np.searchsorted(stream.t, t0))
+    upright = np.array([0.0, 0.0, -STANDARD_GRAVITY])
+    return Gravity(stream.rest[min(near, stream.t.size - 1)] if stream.t.size else upright, 0.6, 0.0)
 
 
 def turn_since(t: Floats, w: Floats) -> Floats:
@@ -131,7 +131,7 @@ class Blow(NamedTuple):
         return v - v[self.zero]
 
 
-def blow_of(stream: Stream, window: Window, steady: Steady, w_v: Floats | None, *, margin: float, tail: float) -> Blow:
+def blow_of(stream: Stream, window: Window, steady: Gravity, w_v: Floats | None, *, margin: float, tail: float) -> Blow:
     """The samples from `margin` before time zero to `tail` after the end of integration, s.
 
     `window` is of the stream; `w_v` (n, 3) are the stream's angular rates in V, NaN where not sampled, or None.

@@ -6,19 +6,24 @@ from dataclasses import replace
 
 import numpy as np
 
-from nav_core.crash.case import Case, case_of, until
+from nav_core.crash.case import Case, between, case_of
+from nav_core.crash.gps_change import usable
 from nav_core.crash.impact import ROUGH, Impact, impact_of
 from nav_core.crash.injury import risks
 from nav_core.crash.measures import indices_of, pulse_of, rebound_of, roll_of
 from nav_core.crash.trajectory import driver_of, rest_of, trajectory_of
 from nav_core.earth import STANDARD_GRAVITY
-from nav_core.events.classify import Finding, find, scene_of
+from nav_core.events.classify import find
 from nav_core.events.driving import Manoeuvre, manoeuvres
+from nav_core.events.finding import SEVERE, Finding
 from nav_core.events.record import ALGORITHM, Basis, CrashEvent, DeltaV, Estimate, SecondImpact, VehicleClass
+from nav_core.events.scene import scene_of
 from nav_core.events.trigger import MULTI_EVENT
 from nav_core.records import Drive, MountingEstimate, Remark
+from nav_core.typing import Floats
 
-SEVERE = ("crash", "rollover", "parked_impact")
+SEVERE_FIRST = ("rollover", "crash", "parked_impact")
+"""An event of several kinds is called by the first of these."""
 
 SPAN = 30.0
 """Context of an event that evidence must keep, before and after, s."""
@@ -67,7 +72,8 @@ def events_of(
     events = [_of_group(case, group) for group in _grouped(case, found)]
     events += _harsh(case, vehicle_class, events)
     low, high = (-np.inf, np.inf) if between is None else between
-    return tuple(sorted((each for each in events if low <= each.t0 <= high), key=lambda each: each.t0))
+    asked = [each for each in events if any(low <= t <= high for t in each.blows)]
+    return tuple(sorted(asked, key=lambda each: each.t0))
 
 
 def _grouped(case: Case, found: list[Finding]) -> list[list[Finding]]:
@@ -83,15 +89,21 @@ def _grouped(case: Case, found: list[Finding]) -> list[list[Finding]]:
 
 
 def _of_group(case: Case, group: list[Finding]) -> CrashEvent:
+    """One event of findings that belong together; of several blows the strongest has the headline."""
     first = group[0]
-    kind = "rollover" if any(each.kind == "rollover" for each in group) else first.kind
     if first.kind not in SEVERE:
         return _plain(case, first)
     t0 = float(case.stream.t[first.window.zero])
     earlier, remarks = _mounting_then(case, t0)
-    impact = impact_of(earlier, first.window)
-    later = tuple(_second(earlier, each) for each in group[1:] if each.kind in SEVERE)
-    event = _severe(earlier, first, impact, later)
+    struck = [each for each in group if each.kind in SEVERE]
+    blows: list[Impact] = []
+    for each in struck:
+        blows.append(impact_of(earlier, each.window, blows[-1] if blows else None))
+    sizes = [each.cloud.resultant().value for each in blows]
+    head = int(np.argmax(sizes))
+    event = _severe(earlier, struck[head], blows, head)
+    kinds = {each.kind for each in struck}
+    kind = next(each for each in SEVERE_FIRST if each in kinds)
     return replace(event, kind=kind, quality=(*event.quality, *remarks))
 
 
@@ -101,14 +113,16 @@ def _mounting_then(case: Case, t0: float) -> tuple[Case, tuple[Remark, ...]]:
         return case, ()
     from nav_core.mounting import estimate_mounting
 
-    before = estimate_mounting(until(case.drive, t0 - 1.0))
+    before = estimate_mounting(between(case.drive, -np.inf, t0 - 1.0))
     text = "The box was turned by the blow or later; the mounting is that of the driving before it."
     if before.R_va is None:
         text = "The box was turned by the blow or later, and what came before does not tell how it sat."
     return case_of(case.drive, before), (Remark("mounting_before_change", text),)
 
 
-def _severe(case: Case, finding: Finding, impact: Impact, later: tuple[SecondImpact, ...]) -> CrashEvent:
+def _severe(case: Case, finding: Finding, blows: list[Impact], head: int) -> CrashEvent:
+    """The event of one or more blows, told of the one that has the headline."""
+    impact = blows[head]
     blow, cloud, known = impact.blow, impact.cloud, impact.known
     t0, t_end = float(blow.t[blow.zero]), float(blow.t[blow.end])
     resultant = cloud.resultant()
@@ -125,8 +139,9 @@ def _severe(case: Case, finding: Finding, impact: Impact, later: tuple[SecondImp
     pdof = cloud.pdof() if case.yaw_known else None
     pulse = pulse_of(case, impact, resultant.value)
     indices, unfit = indices_of(case, impact, pdof)
-    trajectory = trajectory_of(case, impact)
-    rest = rest_of(trajectory, t0, max([each.t_end for each in later], default=t0))
+    trajectory = trajectory_of(case, blows, head)
+    last = blows[-1].blow
+    rest = rest_of(trajectory, t0, float(last.t[last.end]) if head or len(blows) > 1 else t0)
     return CrashEvent(
         kind=finding.kind,
         t0=t0,
@@ -139,18 +154,33 @@ def _severe(case: Case, finding: Finding, impact: Impact, later: tuple[SecondImp
         impact_speed=None
         if known is None
         else Estimate(known.speed, max(known.speed - 1.96 * known.sigma, 0.0), known.speed + 1.96 * known.sigma),
-        rebound=rebound_of(impact) if case.yaw_known else None,
+        rebound=rebound_of(impact) if case.yaw_known and head == 0 else None,
         pulse=pulse,
         clipped_samples=impact.clipped_samples,
-        second_impacts=later,
+        second_impacts=tuple(_other(case, each) for each in blows if each is not impact),
         rollover_angle=roll_of(case, finding, t0),
         rest=rest,
         indices=indices,
         injuries=risks(resultant, pdof) if finding.kind != "parked_impact" else (),
         trajectory=trajectory,
-        driver=driver_of(case, impact, trajectory, rest),
-        quality=(*case.drive.remarks, *case.remarks, *finding.remarks, *_remarks(case, impact), *unfit),
+        driver=driver_of(case, blows[0], t0, trajectory, rest),
+        quality=(
+            *case.drive.remarks,
+            *case.remarks,
+            *finding.remarks,
+            *_several(blows, head),
+            *_remarks(case, impact),
+            *unfit,
+        ),
     )
+
+
+def _several(blows: list[Impact], head: int) -> tuple[Remark, ...]:
+    """That there was more than one blow."""
+    if len(blows) == 1:
+        return ()
+    text = f"{len(blows)} blows within {MULTI_EVENT:g} s; the numbers are of the strongest, which is number {head + 1}."
+    return (Remark("multi_event", text),)
 
 
 def _remarks(case: Case, impact: Impact) -> tuple[Remark, ...]:
@@ -225,8 +255,7 @@ def _basis(case: Case, t0: float, impact: Impact | None) -> Basis:
     )
 
 
-def _second(case: Case, finding: Finding) -> SecondImpact:
-    impact = impact_of(case, finding.window, with_gps=False)
+def _other(case: Case, impact: Impact) -> SecondImpact:
     blow = impact.blow
     return SecondImpact(
         t0=float(blow.t[blow.zero]),
@@ -258,8 +287,12 @@ def _harsh(case: Case, vehicle_class: VehicleClass, events: list[CrashEvent]) ->
     """Harsh driving, outside of what is an event already."""
     if not case.yaw_known:
         return []
-    taken = [(each.t0 - 0.3, each.t_end + (10.0 if each.severe else 0.5)) for each in events]
-    found = manoeuvres(case.drive.inertial, case.R_va, case.gnss, case.lags.speed, vehicle_class)
+    taken = [(each.begins - 0.3, each.ends + (10.0 if each.severe else 0.5)) for each in events]
+    found = [
+        each
+        for drive, R_va in _mounted(case)
+        for each in manoeuvres(drive.inertial, R_va, usable(drive.gnss), case.lags.speed, vehicle_class)
+    ]
 
     def apart(each: Manoeuvre) -> bool:
         return all(each.end < begin or each.begin > end for begin, end in taken)
@@ -277,3 +310,20 @@ def _harsh(case: Case, vehicle_class: VehicleClass, events: list[CrashEvent]) ->
         for each in found
         if apart(each)
     ]
+
+
+def _mounted(case: Case) -> list[tuple[Drive, Floats]]:
+    """The recording cut where the box was turned, each part with the mounting of its time, those without left out."""
+    changes = sorted(case.mounting.changes, key=lambda each: each.t)
+    if not changes:
+        return [(case.drive, case.R_va)]
+    edges = [-np.inf, *(each.t for each in changes), np.inf]
+    # What one change says of the time after it, the next one may say of the time before it.
+    after = [None, *(each.after for each in changes[:-1]), case.R_va]
+    before = [*(each.before for each in changes), None]
+    out: list[tuple[Drive, Floats]] = []
+    for k, (one, other) in enumerate(zip(after, before, strict=True)):
+        R_va = one if other is None else other
+        if R_va is not None:
+            out.append((between(case.drive, edges[k], edges[k + 1]), R_va))
+    return out

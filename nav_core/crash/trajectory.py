@@ -15,7 +15,7 @@ from nav_core.crash.case import Case
 from nav_core.crash.filters import moving_mean
 from nav_core.crash.gps_change import SPEED_NOISE
 from nav_core.crash.impact import Impact
-from nav_core.events.record import Driver, Rest, Trajectory
+from nav_core.events.way import Driver, Rest, Trajectory
 from nav_core.kalman import filter_record, smooth
 from nav_core.records import Gnss
 from nav_core.typing import Flags, Floats
@@ -41,23 +41,14 @@ STEERS = 0.08
 """Turn rate off the seconds before that is steering, rad/s."""
 
 
-def trajectory_of(case: Case, impact: Impact) -> Trajectory | None:
-    """Smoothed way around an event; None without fixes or with none that moves.
+def trajectory_of(case: Case, blows: list[Impact], head: int) -> Trajectory | None:
+    """Smoothed way around an event of one or more blows, its times from the one that has the headline.
 
-    Parameters
-    ----------
-    case : Case
-        The recording.
-    impact : Impact
-        The event's blow.
-
-    Returns
-    -------
-    Trajectory or None
-        Times in s from `t0`; place in rad, speeds in m/s, with covariances.
+    None without fixes or with none that moves.
     """
-    gnss, blow = case.gnss, impact.blow
-    t0 = float(blow.t[blow.zero])
+    gnss, first = case.gnss, blows[0]
+    t0 = float(blows[head].blow.t[blows[head].blow.zero])
+    struck = float(first.blow.t[first.blow.zero])
     if gnss is None:
         return None
     at = gnss.t - case.lags.speed
@@ -67,11 +58,11 @@ def trajectory_of(case: Case, impact: Impact) -> Trajectory | None:
     grid = np.arange(np.ceil((max(at[use][0], t0 - SPAN) - t0) / STEP), SPAN / STEP + 1) * STEP + t0
     grid = grid[grid <= max(float(at[use][-1]), float(case.stream.t[-1]))]
     t = np.unique(np.concatenate([grid, at[use], [t0]]))
-    heading, heading_sigma = _heading(case, gnss, impact, t)
+    heading, heading_sigma = _heading(case, gnss, first, t)
     origin = float(gnss.lat[use][0]), float(gnss.lon[use][0])
-    own, way = _reckoned(case, impact, t, heading)
+    own, way = _reckoned(case, blows, t, heading)
     z = _measured(gnss, use, at, t, origin, case)
-    x, P = _smoothed(t, t0, way, z, case)
+    x, P = _smoothed(t, struck, way, z, case)
     zero = int(np.searchsorted(t, t0))
     position = way[:, :2] + x[:, :2] - (way[zero, :2] + x[zero, :2])
     place = origin[0], origin[1], way[zero, :2] + x[zero, :2]
@@ -80,7 +71,7 @@ def trajectory_of(case: Case, impact: Impact) -> Trajectory | None:
     speed = np.hypot(velocity[:, 0], velocity[:, 1])
     moving = speed > STOPPED
     course = np.where(moving, np.arctan2(velocity[:, 1], velocity[:, 0]), np.nan)
-    shown = np.isfinite(heading) & ((t <= t0) | (blow.w is not None))
+    shown = np.isfinite(heading) & ((t <= struck) | (first.blow.w is not None))
     along = np.where(moving[:, None], velocity / np.maximum(speed, 1e-9)[:, None], np.sqrt(0.5))
     return Trajectory(
         t=t - t0,
@@ -123,15 +114,15 @@ def _heading(case: Case, gnss: Gnss, impact: Impact, t: Floats) -> tuple[Floats,
     return heading, sigma
 
 
-def _reckoned(case: Case, impact: Impact, t: Floats, heading: Floats) -> tuple[Floats, Floats]:
+def _reckoned(case: Case, blows: list[Impact], t: Floats, heading: Floats) -> tuple[Floats, Floats]:
     """Acceleration along and across the heading (k, 2), and north, east, their rates by reckoning from zero (k, 4)."""
-    stream, blow = case.stream, impact.blow
-    f = stream.f - impact.steady.f
-    a = f[:, :2].copy()
-    first = int(np.searchsorted(stream.t, blow.t[0]))
-    part = slice(first + blow.zero, first + blow.last + 1)
-    held = np.einsum("nji,nj->ni", blow.C, impact.filled)[blow.zero : blow.last + 1, :2]
-    a[part] = held
+    stream = case.stream
+    a = (stream.f - blows[0].steady.f)[:, :2]
+    for impact in blows:
+        blow = impact.blow
+        first = int(np.searchsorted(stream.t, blow.t[0]))
+        held = np.einsum("nji,nj->ni", blow.C, impact.filled)[blow.zero : blow.last + 1, :2]
+        a[first + blow.zero : first + blow.last + 1] = held
     a = np.where(np.abs(a) < 500.0, a, 0.0)
     v = np.cumsum(a * stream.step[:, None], axis=0)
     seen = (t >= stream.t[0]) & (t <= stream.t[-1])
@@ -239,38 +230,25 @@ def rest_of(trajectory: Trajectory | None, t0: float, since: float) -> Rest | No
     return None
 
 
-def driver_of(case: Case, impact: Impact, trajectory: Trajectory | None, rest: Rest | None) -> Driver | None:
-    """The last five seconds; None of a recording that has not half a second of them, or of an unknown mounting.
+def driver_of(case: Case, first: Impact, t0: float, trajectory: Trajectory | None, rest: Rest | None) -> Driver | None:
+    """The last five seconds before the first blow; times are from `t0`, box clock, s.
 
-    Parameters
-    ----------
-    case : Case
-        The recording.
-    impact : Impact
-        The event's blow.
-    trajectory : Trajectory or None
-        Around it; None where there is none.
-    rest : Rest or None
-        Where the vehicle came to rest; None where unknown.
-
-    Returns
-    -------
-    Driver or None
-        Speed, m/s, specific force less gravity, m/s², every half second before `t0`.
+    None of a recording that has not half a second of them, or of an unknown mounting.
     """
-    stream, blow = case.stream, impact.blow
-    t0 = float(blow.t[blow.zero])
-    span = min(t0 - float(stream.t[0]), 5.0)
+    stream, blow = case.stream, first.blow
+    struck = float(blow.t[blow.zero])
+    span = min(struck - float(stream.t[0]), 5.0)
     if span < 0.5 or not case.yaw_known:
         return None
-    t = np.arange(-np.floor(span / 0.5), 1.0) * 0.5
+    before = np.arange(-np.floor(span / 0.5), 1.0) * 0.5
+    t = before + (struck - t0)
     means = [stream.mean(t0 + each - 0.5, t0 + each) for each in t]
-    a = np.array([np.full(3, np.nan) if mean is None else mean - impact.steady.f for mean in means])
+    a = np.array([np.full(3, np.nan) if mean is None else mean - first.steady.f for mean in means])
     speed = np.full(t.size, np.nan) if trajectory is None else np.interp(t, trajectory.t, trajectory.speed)
     rate = _yaw_rate(case, t0 + t, speed, a[:, 1])
-    braked = _braked_from(case, impact, t0)
+    braked = _braked_from(case, first, struck)
     level = float(np.nanmedian(rate)) if np.isfinite(rate).any() else 0.0
-    late = rate[t > -2.1]
+    late = rate[before > -2.1]
     steered = None
     if np.isfinite(late).any():
         strongest = float(late[np.nanargmax(np.abs(late - level))]) - level
@@ -281,10 +259,10 @@ def driver_of(case: Case, impact: Impact, trajectory: Trajectory | None, rest: R
         longitudinal=a[:, 0],
         lateral=a[:, 1],
         yaw_rate=rate,
-        braked_from=braked,
+        braked_from=None if braked is None else braked + struck - t0,
         braking=float(np.nanmax(-a[:, 0])) if np.isfinite(a[:, 0]).any() else None,
         steered=steered,
-        stopping_distance=_stopping_distance(trajectory, rest, t0, braked or 0.0),
+        stopping_distance=_stopping_distance(trajectory, rest, t0, (braked or 0.0) + struck - t0),
     )
 
 

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from nav_core.events.level import usual_force
 from nav_core.events.record import EventKind, VehicleClass
 from nav_core.events.trigger import groups
 from nav_core.records import Gnss, Inertial
@@ -81,7 +82,8 @@ def manoeuvres(
     if t.size < 3:
         return []
     speed = _speed(t, gnss, speed_lag)
-    along, across = f[:, 0] - _level(t, f[:, 0], speed), f[:, 1] - float(np.median(f[:, 1]))
+    usual = usual_force(t, f)
+    along, across = f[:, 0] - _level(t, f[:, 0], speed, float(usual[0])), f[:, 1] - usual[1]
     # An upright box on a road; one that is carried about is not driving.
     sane = np.abs(f[:, 2] + 9.8) < 4.0
     moving = sane & ((speed > SLOWEST) | np.isnan(speed))
@@ -111,10 +113,13 @@ def _speed(t: Floats, gnss: Gnss | None, lag: float) -> Floats:
     return np.where(near, np.interp(t, at, gnss.speed), np.nan)
 
 
-def _level(t: Floats, f: Floats, speed: Floats) -> Floats:
-    """Slope and bias along the vehicle, m/s²: the mean force around each moment less what GPS says was gained."""
+def _level(t: Floats, f: Floats, speed: Floats, usual: float) -> Floats:
+    """Slope and bias along the vehicle, m/s²: the mean force around each moment less what GPS says was gained.
+
+    Without fixes, `usual`.
+    """
     first, last = np.searchsorted(t, t - LEVEL_SPAN), np.searchsorted(t, t + LEVEL_SPAN, side="right") - 1
     total = np.concatenate([[0.0], np.cumsum(f)])
     mean = (total[last + 1] - total[first]) / (last + 1 - first)
     gained = (speed[last] - speed[first]) / np.maximum(t[last] - t[first], 1.0)
-    return np.where(np.isfinite(gained), mean - gained, float(np.median(f)))
+    return np.where(np.isfinite(gained), mean - gained, usual)

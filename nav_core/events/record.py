@@ -11,6 +11,7 @@ from typing import Literal
 import numpy as np
 
 from nav_core.errors import RangeError, ShapeError
+from nav_core.events.way import Driver, Rest, Trajectory
 from nav_core.records import Remark
 from nav_core.typing import Flags, Floats
 
@@ -26,7 +27,7 @@ EventKind = Literal[
 ]
 VehicleClass = Literal["car", "van", "truck", "bus", "motorcycle"]
 
-ALGORITHM = "crash-1"
+ALGORITHM = "crash-2"
 """Version of the detection and reconstruction; it changes whenever the same input may give other numbers."""
 
 
@@ -134,16 +135,19 @@ class Pulse:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SecondImpact:
-    """A further blow within the same event (multi-event of 49 CFR 563: starts within 5 s).
+    """Another blow of the same event, before or after the one that has the headline.
+
+    Blows that start within 5 s of the first are one multi-event of 49 CFR 563; each has its own time zero and
+    delta-V, and the strongest is the one that a `CrashEvent` tells of.
 
     Attributes
     ----------
     t0, t_end : float
-        Box clock, s.
+        Time zero and end of this blow, box clock, s.
     resultant : Estimate
-        m/s.
+        Its own delta-V, m/s.
     pdof : Estimate, optional
-        rad, in the V axes held at the first `t0`; without a gyro in the box's own.
+        rad, in the V axes at its own `t0`, held from there by the gyro; without one in the box's own.
     clipped_samples : int
     """
 
@@ -192,137 +196,6 @@ class InjuryRisk:
     population: str
     level: str
     probability: Estimate
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Rest:
-    """Where and when the vehicle came to rest after the impact.
-
-    Attributes
-    ----------
-    t : float
-        Box clock, s.
-    lat, lon : float, optional
-        rad.
-    radius95 : float, optional
-        Of the position, m.
-    distance : float, optional
-        From the place of impact, m.
-    """
-
-    t: float
-    lat: float | None
-    lon: float | None
-    radius95: float | None
-    distance: float | None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Trajectory:
-    """The way from 30 s before to 30 s after `t0`, smoothed, at k moments.
-
-    Attributes
-    ----------
-    t : ndarray, shape (k,)
-        From `t0`, s.
-    lat, lon : ndarray, shape (k,)
-        rad.
-    position : ndarray, shape (k, 2)
-        North and east of the place at `t0`, m.
-    position_covariance : ndarray, shape (k, 2, 2)
-        m²; `ellipse` turns it into half axes and direction.
-    speed, speed_sigma : ndarray, shape (k,)
-        m/s.
-    heading, heading_sigma : ndarray, shape (k,)
-        Where the vehicle points before `t0` and, with a gyro, after it; else where it moves.
-        rad clockwise from north; NaN where unknown.
-    acceleration : ndarray, shape (k, 2)
-        Along and across the heading (right positive), low-passed, m/s²; NaN where not recorded.
-    method : str
-        ``"gps-inertial"`` or ``"inertial"`` (no fixes: no position, speed relative).
-    """
-
-    t: Floats
-    lat: Floats
-    lon: Floats
-    position: Floats
-    position_covariance: Floats
-    speed: Floats
-    speed_sigma: Floats
-    heading: Floats
-    heading_sigma: Floats
-    acceleration: Floats
-    method: str
-
-    def __post_init__(self) -> None:
-        k = self.t.size
-        for name, shape in (
-            ("lat", (k,)),
-            ("lon", (k,)),
-            ("position", (k, 2)),
-            ("position_covariance", (k, 2, 2)),
-            ("speed", (k,)),
-            ("speed_sigma", (k,)),
-            ("heading", (k,)),
-            ("heading_sigma", (k,)),
-            ("acceleration", (k, 2)),
-        ):
-            if getattr(self, name).shape != shape:
-                raise ShapeError(f"trajectory.{name}", getattr(self, name).shape, str(shape))
-
-    def ellipse(self, k: int, chi2: float = 5.991) -> tuple[float, float, float]:
-        """Half axes, m, and direction of the long one, rad clockwise from north, of the 95 % ellipse at moment `k`.
-
-        Parameters
-        ----------
-        k : int
-            Index of the moment.
-        chi2 : float
-            Quantile with two degrees of freedom: 5.991 for 95 %.
-
-        Returns
-        -------
-        tuple of float
-            Long and short half axis, m; direction, rad.
-        """
-        values, vectors = np.linalg.eigh(self.position_covariance[k])
-        small, large = np.sqrt(chi2 * np.maximum(values, 0.0))
-        return float(large), float(small), float(np.arctan2(vectors[1, 1], vectors[0, 1]))
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Driver:
-    """What the driver did in the last five seconds, and how far the vehicle went.
-
-    Attributes
-    ----------
-    t : ndarray, shape (k,)
-        From `t0`, s, every 0.5 s from -5 to 0, as far as recorded.
-    speed : ndarray, shape (k,)
-        m/s; NaN where unknown.
-    longitudinal, lateral : ndarray, shape (k,)
-        Mean acceleration of the half second before, m/s².
-    yaw_rate : ndarray, shape (k,)
-        rad/s, positive to the right; from the gyro, else from the course; NaN where unknown.
-    braked_from : float, optional
-        Start of the braking that lasted until the impact, from `t0`, s (negative).
-    braking : float, optional
-        Strongest half-second deceleration of the last five seconds, m/s².
-    steered : {"left", "right", "none"}, optional
-        None when not known.
-    stopping_distance : float, optional
-        From where braking began, or from the impact without any, to rest, m.
-    """
-
-    t: Floats
-    speed: Floats
-    longitudinal: Floats
-    lateral: Floats
-    yaw_rate: Floats
-    braked_from: float | None = None
-    braking: float | None = None
-    steered: Literal["left", "right", "none"] | None = None
-    stopping_distance: float | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -381,7 +254,7 @@ class CrashEvent:
     ----------
     kind : EventKind
     t0, t_end : float
-        Box clock, s: time zero and end of event by 49 CFR 563.
+        Box clock, s: time zero and end of event by 49 CFR 563; of several blows, those of the strongest.
     peak : float
         Largest magnitude: of the pulse (`Pulse.peak`) or of the manoeuvre, m/s².
     confidence : float
@@ -396,6 +269,7 @@ class CrashEvent:
     pulse : Pulse, optional
     clipped_samples : int
     second_impacts : tuple of SecondImpact
+        The other blows of the event, in order of time.
     rollover_angle : Estimate, optional
         Largest roll, positive right side down, rad; beyond ±pi for more than half a turn.
     rest : Rest, optional
@@ -434,6 +308,21 @@ class CrashEvent:
     def pdof_clock(self) -> int | None:
         """Clock direction 1..12; None without a PDOF."""
         return None if self.pdof is None else round(float(np.degrees(self.pdof.value)) / 30.0) % 12 or 12
+
+    @property
+    def blows(self) -> tuple[float, ...]:
+        """Time zero of every blow, box clock, s, in order."""
+        return tuple(sorted([self.t0, *(each.t0 for each in self.second_impacts)]))
+
+    @property
+    def begins(self) -> float:
+        """Time zero of the first blow, box clock, s."""
+        return self.blows[0]
+
+    @property
+    def ends(self) -> float:
+        """End of the last blow, box clock, s."""
+        return max([self.t_end, *(each.t_end for each in self.second_impacts)])
 
     @property
     def severe(self) -> bool:

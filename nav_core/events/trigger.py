@@ -54,6 +54,8 @@ class Stream(NamedTuple):
         Running mean of `f` shortly before each sample, m/s².
     v : ndarray, shape (n, 3)
         Running integral of ``f - rest``, m/s.
+    calm : ndarray of bool, shape (n,)
+        Samples outside of anything that meets the trigger; only those are in `rest`.
     """
 
     t: Floats
@@ -61,6 +63,7 @@ class Stream(NamedTuple):
     step: Floats
     rest: Floats
     v: Floats
+    calm: Flags
 
     def at(self, t: Floats) -> Floats:
         """`v` between the samples, shape (k, 3).
@@ -76,6 +79,10 @@ class Stream(NamedTuple):
             Integral of the force off its surroundings, V axes, m/s.
         """
         return np.column_stack([np.interp(t, self.t, self.v[:, axis]) for axis in range(3)])
+
+    def rows(self, part: slice) -> Stream:
+        """Some of the samples."""
+        return Stream(self.t[part], self.f[part], self.step[part], self.rest[part], self.v[part], self.calm[part])
 
     def mean(self, begin: float, end: float) -> Floats | None:
         """Mean specific force from..to, box clock, s; None without samples.
@@ -114,8 +121,23 @@ def stream_of(inertial: Inertial, R_va: Floats) -> Stream:
     if t.size > 1:
         usual = float(np.median(step[1:]))
         step[step > max(5.0 * usual, 0.1)] = 0.0
-    rest = _rest(t, f)
-    return Stream(t, f, step, rest, integrate(f - rest, step))
+    calm = np.ones(t.size, dtype=np.bool_)
+    rest = _rest(t, f, calm)
+    stream = Stream(t, f, step, rest, integrate(f - rest, step), calm)
+    violent = np.flatnonzero(strongest_change(stream) >= TRIGGER)
+    if violent.size == 0:
+        return stream
+    # What follows a blow must not be judged against a mean that holds the blow.
+    calm = _calm(t, violent)
+    rest = _rest(t, f, calm)
+    return Stream(t, f, step, rest, integrate(f - rest, step), calm)
+
+
+def _calm(t: Floats, violent: Integers) -> Flags:
+    """Samples that no window over the trigger covers; `violent` are where such windows begin."""
+    until = np.searchsorted(t, t[violent] + TRIGGER_WINDOW, side="right")
+    edges = np.bincount(violent, minlength=t.size + 1) - np.bincount(until, minlength=t.size + 1)
+    return np.cumsum(edges)[: t.size] <= 0
 
 
 def integrate(a: Floats, step: Floats) -> Floats:
@@ -139,14 +161,19 @@ def integrate(a: Floats, step: Floats) -> Floats:
     return np.cumsum(middle * step[:, None], axis=0)
 
 
-def _rest(t: Floats, f: Floats) -> Floats:
+def _rest(t: Floats, f: Floats, calm: Flags) -> Floats:
     """Running mean of the force shortly before each sample; at the start of a recording, of its first moments."""
-    total = np.concatenate([np.zeros((1, 3)), np.cumsum(f, axis=0)])
+    total = np.concatenate([np.zeros((1, 3)), np.cumsum(f * calm[:, None], axis=0)])
+    counted = np.concatenate([[0], np.cumsum(calm)])
     first, last = np.searchsorted(t, t - REST_SPAN[0]), np.searchsorted(t, t - REST_SPAN[1])
-    count = last - first
+    count = counted[last] - counted[first]
     opening = opening_mean(t, f)
     known = (count > 0) & (t - REST_SPAN[1] - t[first] >= 0.5 * REST_SPAN[1]) if t.size else count > 0
     mean = (total[last] - total[first]) / np.maximum(count, 1)[:, None]
+    if not calm.all():
+        # Violent for longer than that: as it was when that began.
+        held = np.maximum.accumulate(np.where(known, np.arange(t.size), -1))
+        return np.where((held >= 0)[:, None], mean[held], opening)
     return np.where(known[:, None], mean, opening)
 
 
@@ -249,7 +276,9 @@ class Window(NamedTuple):
     last: int
 
 
-def window_around(t: Floats, v: Floats, core: int, *, threshold: float = THRESHOLD) -> Window:
+def window_around(
+    t: Floats, v: Floats, core: int, *, threshold: float = THRESHOLD, level: Floats | None = None
+) -> Window:
     """Time zero and end of the event that has its strongest change at `core`.
 
     Parameters
@@ -261,6 +290,8 @@ def window_around(t: Floats, v: Floats, core: int, *, threshold: float = THRESHO
         A sample within the pulse.
     threshold : float
         Lower for what stays below the trigger and would have no window by the regulation, m/s.
+    level : ndarray, shape (n, 2), optional
+        The same velocity less gravity alone, m/s: after braking the event has also ended once nothing brakes any more.
 
     Returns
     -------
@@ -282,7 +313,9 @@ def window_around(t: Floats, v: Floats, core: int, *, threshold: float = THRESHO
     zero = int(before[breaks[-1] + 1]) if breaks.size else int(before[0])
     if zero and t[zero] - t[zero - 1] > 0.75 * WINDOW:
         zero -= 1  # the window starts between two samples this far apart
-    after = core + np.flatnonzero(over[core:])
+    going = over if level is None else over & (np.hypot(*(level[j] - level).T) > threshold)
+    going[core] = True
+    after = core + np.flatnonzero(going[core:])
     breaks = np.flatnonzero(np.diff(t[after]) > max(QUIET, apart))
     final = int(after[breaks[0]]) if breaks.size else int(after[-1])
     end = int(min(j[min(final + 1, n - 1)], n - 1))

@@ -131,18 +131,29 @@ def _mounted(vectors: Floats, t: Floats, mountings: tuple[tuple[float, Floats], 
 
 def _events(vehicle: Vehicle) -> tuple[TrueEvent, ...]:
     events: list[TrueEvent] = []
-    for shock in vehicle.shocks:
-        _, speed, _ = vehicle.along(np.array([shock.t0]))
+    for k, shock in enumerate(vehicle.shocks):
+        times = np.array([shock.t0, shock.t0 + shock.duration])
+        motion = vehicle.at(times)
+        # A later blow finds the vehicle turned and sliding; of the first the road's millimetres a second are left out.
+        x, y = ((motion.velocity[1] - motion.velocity[0]) @ motion.R_tv[0])[:2].tolist()
+        if k == 0:
+            x, y = shock.forward + _braked(vehicle, times), shock.sideways
         events.append(
             TrueEvent(
                 t0=shock.t0,
                 t_end=shock.t0 + shock.duration,
-                longitudinal=shock.forward,
-                lateral=shock.sideways,
-                resultant=float(np.hypot(shock.forward, shock.sideways)),
-                pdof=float(np.arctan2(-shock.sideways + 0.0, -shock.forward + 0.0)),
-                speed=float(speed[0]),
+                longitudinal=x,
+                lateral=y,
+                resultant=float(np.hypot(x, y)),
+                pdof=float(np.arctan2(-y + 0.0, -x + 0.0)),
+                speed=float(motion.v[0]),
                 yaw_rate_change=shock.turn_rate,
             )
         )
     return tuple(events)
+
+
+def _braked(vehicle: Vehicle, times: Floats) -> float:
+    """What the driver's brakes did meanwhile, m/s."""
+    before, after = vehicle.speed.value(times).tolist()
+    return after - before

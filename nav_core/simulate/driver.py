@@ -32,6 +32,9 @@ class _Schedule:
     straight: float = np.inf
     coast: float = np.inf
     speed: float | None = None
+    """On approach, before any braking."""
+    brake: float = np.inf
+    braking: float = 0.0
 
 
 @dataclass(slots=True)
@@ -91,7 +94,8 @@ def drive_along(
     Returns
     -------
     speed : Spline
-        m/s over s; never negative; exactly constant from shortly before the `impact` on.
+        m/s over s; never negative; exactly constant from shortly before the `impact` on, or of one that
+        is braked for, from shortly after its start.
     straight_from : float
         Distance, m, from which the road must be straight because an impact takes over; inf without one.
     """
@@ -108,6 +112,9 @@ def drive_along(
         driver.s += driver.v * STEP
         if t >= plan.straight:
             straight_from = min(straight_from, driver.s)
+        if t >= plan.brake:
+            driver.v = max(driver.v - plan.braking * STEP, 0.0) if t < plan.coast else driver.v
+            continue
         if t >= plan.coast:
             continue
         cell = min(int(driver.s / CELL), len(driver.cap) - 1)
@@ -128,7 +135,10 @@ def _schedule(impact: Impact | None) -> _Schedule:
         return _Schedule()
     approach = np.inf if impact.speed is None else impact.t - _APPROACH
     straight = min(approach, impact.t - _STRAIGHT_BEFORE_IMPACT)
-    return _Schedule(approach, straight, impact.t - _COAST_BEFORE_IMPACT, impact.speed)
+    if impact.speed is None or impact.braking * impact.braking_time == 0.0:
+        return _Schedule(approach, straight, impact.t - _COAST_BEFORE_IMPACT, impact.speed)
+    faster = impact.speed + impact.braking * impact.braking_time
+    return _Schedule(approach, straight, impact.t, faster, impact.t - impact.braking_time, impact.braking)
 
 
 def _restraint(count: int, rng: np.random.Generator) -> list[float]:

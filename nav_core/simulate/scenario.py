@@ -62,6 +62,8 @@ class Impact:
     speed : float, optional
         Speed the driver has reached at `t`, m/s; None leaves it to the route.  He drives at it
         straight on from 20 s before.
+    braking, braking_time : float
+        The driver brakes by so much, m/s², for so long before `t`, s, down to `speed`, which must be given.
     """
 
     t: float
@@ -71,10 +73,16 @@ class Impact:
     shape: PulseShape = "haversine"
     yaw_rate_change: float = 0.0
     speed: float | None = None
+    braking: float = 0.0
+    braking_time: float = 0.0
 
     def __post_init__(self) -> None:
         if self.duration <= 0.0:
             raise RangeError("impact.duration", self.duration, "> 0 s")
+        if self.braking < 0.0 or (self.braking > 0.0 and self.speed is None):
+            raise RangeError("impact.braking", self.braking, ">= 0 m/s², with a speed")
+        if not 0.0 <= self.braking_time <= 10.0:
+            raise RangeError("impact.braking_time", self.braking_time, "0..10 s")
         if self.delta_v < 0.0:
             raise RangeError("impact.delta_v", self.delta_v, ">= 0 m/s")
         if self.speed is not None and self.speed < 0.0:
@@ -287,8 +295,8 @@ class TrueEvent:
     t_end : float
         End of the pulse, s.
     longitudinal, lateral, resultant : float
-        Delta-V of the impact alone, m/s.  The road adds millimetres a second over a pulse; what
-        friction does meanwhile about an earlier impact is not counted.
+        Change of the box's velocity from `t0` to `t_end`, m/s: the impact's, and what brakes, and
+        friction after an earlier impact, do meanwhile.
     pdof : float
         ``atan2(-lateral, -longitudinal)``, rad in (-pi, pi].
     speed : float

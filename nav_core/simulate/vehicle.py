@@ -21,6 +21,7 @@ START = -MAX_LAG
 
 _AFTER_END = 0.5
 _PATH_STEP = 0.05
+_SETTLES = 0.4
 
 Jet = tuple[Floats, Floats, Floats]
 Arm = tuple[float, float, float]
@@ -120,7 +121,8 @@ class Vehicle:
         v, a, _ = self.speed.jet(t)
         if self.shocks:
             first = self.shocks[0]
-            cruise = self.speed.value(np.array([first.t0]))[0]
+            # As the driver left it; of one who brakes the speed settles shortly after the blow's start.
+            cruise = self.speed.value(np.array([first.t0 + _SETTLES]))[0]
             travel, left, rate = first.friction(t)
             s = s + cruise * (travel - np.maximum(t - first.t0 - first.duration, 0.0))
             v, a = v + cruise * (left - 1.0), a + cruise * rate
@@ -212,11 +214,16 @@ class Vehicle:
         sideways = float(-impact.delta_v * np.sin(impact.pdof)) + 0.0
         before = self.at(at)
         speed_after = float(np.hypot(before.v[0] + forward, sideways))
+        slide = slide_time(speed_after)
+        if self.shocks:
+            # What an earlier blow left and what this one takes from it fade together: tyres know only their sum.
+            first = self.shocks[0]
+            slide = max(slide, first.t0 + first.duration + first.slide - impact.t - impact.duration)
         shock = Shock(
             t0=impact.t,
             duration=impact.duration,
             shape=impact.shape,
-            slide=slide_time(speed_after),
+            slide=slide,
             forward=forward,
             sideways=sideways,
             across=before.R_tv[0, :, 1],

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from nav_core.crash.edr import element_table
-from nav_core.events.record import CrashEvent, Pulse, Trajectory
+from nav_core.events.record import CrashEvent, Pulse
+from nav_core.events.way import Trajectory
 from nav_core.typing import Floats
 from server.events.canonical import sha256
 from server.events.result import event_json

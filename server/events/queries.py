@@ -12,7 +12,7 @@ from sqlalchemy import Select, select, tuple_
 from sqlalchemy.orm import Session
 
 from server.errors import GoneError, NotFoundError
-from server.models import Batch, ChainSeal, Event, EventAction, EventInput, EventRevision
+from server.models import Batch, ChainSeal, Device, Event, EventAction, EventInput, EventRevision, Vehicle
 
 LISTED = Event.withdrawn_at.is_(None), Event.erased_at.is_(None)
 MAX_DOCUMENT_BYTES = 256 * 1024 * 1024
@@ -129,6 +129,36 @@ def stored_between(session: Session, device_id: str, boot: str, first_s: float, 
         Event.erased_at.is_(None),
     )
     return session.scalars(query.order_by(Event.t0_s)).all()
+
+
+def judged_otherwise(
+    session: Session, device_id: str, installation_id: str, since: float, until: float, *, limit: int
+) -> Sequence[Event]:
+    """Manoeuvres, shocks and handling between two moments, Unix s, that rest on another mounting than this one."""
+    query = (
+        select(Event)
+        .join(EventRevision, (EventRevision.event_id == Event.id) & (EventRevision.number == Event.revision))
+        .where(
+            Event.device_id == device_id,
+            Event.severe.is_(False),
+            Event.withdrawn_at.is_(None),
+            Event.at >= dt.datetime.fromtimestamp(since, dt.UTC),
+            EventRevision.installation_id != installation_id,
+        )
+    )
+    if until < float("inf"):
+        query = query.where(Event.at < dt.datetime.fromtimestamp(until, dt.UTC))
+    return session.scalars(query.order_by(Event.at).limit(limit)).all()
+
+
+def names(session: Session, device_id: str, vehicle_id: str | None) -> dict[str, str | None]:
+    """What device and vehicle are called now, as a revision keeps it."""
+    device, vehicle = session.get_one(Device, device_id), session.get(Vehicle, vehicle_id) if vehicle_id else None
+    return {
+        "device_name": device.name,
+        "vehicle_name": None if vehicle is None else vehicle.name,
+        "plate": None if vehicle is None else vehicle.plate,
+    }
 
 
 def newest_seal(session: Session, device_id: str) -> ChainSeal | None:

@@ -28,7 +28,7 @@ import sys
 import zipfile
 import zlib
 from pathlib import Path
-from typing import Any, Callable, Dict, List, Optional, Set, Tuple
+from typing import Any, Callable, Dict, Iterator, List, Optional, Set, Tuple
 
 # What cannot stand in the manifest, which is what they are about.
 OUTSIDE = ("manifest.json", "signature.json", "signature.txt", "signature.tsr")
@@ -278,6 +278,20 @@ def _check_tables(report: Report, chain: Dict[str, Any], read: Callable[[str], b
         == [{**row, "values": row["values"] if row["recorded"] else "not recorded"} for row in document["edr"]],
     ]
     report.add("edr.json tells what event.json tells", all(same))
+    told = list(csv.reader(io.StringIO(read("edr.csv").decode(), newline="")))
+    report.add("edr.csv tells what event.json tells", told == list(_edr_rows(document["edr"])))
+
+
+def _edr_rows(elements: List[Dict[str, Any]]) -> Iterator[List[str]]:
+    """The table of elements as it must read: one row for each value."""
+    yield ["table", "element", "unit", "time_s", "value", "low95", "high95", "note"]
+    for row in elements:
+        head = [row["table"], row["name"], row["unit"]]
+        interval = ["", ""] if row["interval95"] is None else [str(end) for end in row["interval95"]]
+        for time, value in zip(row["times_s"] or [""] * len(row["values"]), row["values"]):
+            yield [*head, str(time), str(value), *interval, row["note"]]
+        if not row["recorded"]:
+            yield [*head, "", "not recorded", "", "", row["note"]]
 
 
 def _same_table(text: bytes, columns: Dict[str, Tuple[float, ...]]) -> bool:

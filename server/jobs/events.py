@@ -14,6 +14,7 @@ from hashlib import sha256
 from itertools import pairwise
 from typing import Any, Protocol
 
+import numpy as np
 import structlog
 import zstandard
 from sqlalchemy import select
@@ -43,6 +44,10 @@ SAME_S = 1.5
 """Two time zeros closer than this are one event seen twice."""
 STRETCH_S = 600.0
 """Longest stretch that is looked at in one piece: bounds memory."""
+LATE_MOVE_S = 3600.0
+"""A move that is found later than this after it happened has less looked at again: bounds the work of one round."""
+STALE = 50
+"""So many events at most are judged anew in one round."""
 AFTER_MOVE_S = 10.0
 """An event this soon after a move has the mounting before it: the impact itself may have turned the box."""
 
@@ -107,11 +112,14 @@ class Events:
         self._reconstructor = reconstructor
         self._now = now
         self._done: set[str] = set()
+        self._looked_from: dict[str, float] = {}
+        """By boot, from where on the new data have been looked at, box clock, s."""
 
     def take_in(self, new: Iterable[Batch]) -> None:
         """Look for events in new batches, and revise those whose window they reach into."""
         for boot, first, last in _stretches(new):
             self._look(self._situation.boots[boot], first, last)
+            self._looked_from[boot] = min(first - BACK_S, self._looked_from.get(boot, first))
 
     def revise_unmounted(self, installations: Iterable[str]) -> None:
         """Revise the severe events that were computed before one of these mountings was ready."""
@@ -132,6 +140,31 @@ class Events:
             known = installation is not None and installation.id in ready
             if waiting and known and row.raw_erased_at is None and row.id not in self._done:
                 self._revise(row)
+
+    def judge_anew(self, installations: Iterable[str]) -> None:
+        """Look again at what was judged with the mounting before a move that has become known since."""
+        told = [row for row in self._installations if row.id in set(installations) and row.beginning == "moved"]
+        known = {row.id for row in self._situation.installations}
+        for row in told:
+            since, until = _holds_from(row), float("inf") if row.ended_at is None else row.ended_at.timestamp()
+            if row.id not in known:
+                self._look_since(since, until)
+            elif row.status == "ready":
+                with self._database.reading() as session:
+                    device_id = self._situation.device.id
+                    stale = list(queries.judged_otherwise(session, device_id, row.id, since, until, limit=STALE))
+                for event in stale:
+                    if event.id not in self._done:
+                        self._look(self._situation.boots[event.boot], event.t0_s - BACK_S, event.t_end_s + BACK_S)
+
+    def _look_since(self, since: float, until: float) -> None:
+        """Look at the last of what lies between two moments, Unix s, and was not looked at just now."""
+        for boot in self._situation.boots.values():
+            last = min(boot.t_last_s, boot.box_s(min(until, boot.unix_s(boot.t_last_s))))
+            last = min(last, self._looked_from.get(boot.boot, last))
+            first = max(boot.t_first_s, boot.box_s(since), last - LATE_MOVE_S)
+            for begin in np.arange(first, last, STRETCH_S).tolist():
+                self._look(boot, begin + BACK_S, min(begin + STRETCH_S, last))
 
     def _look(self, boot: Boot, first_s: float, last_s: float) -> None:
         since = first_s - BACK_S
@@ -276,6 +309,8 @@ class Events:
                 ):
                     return
         row = row or self._made(boot, event)
+        with self._database.reading() as session:
+            names = queries.names(session, row.device_id, row.vehicle_id)
         row.revision += 1
         row.kind, row.severe = event.kind, event.severe or row.severe
         row.t0_s, row.t_end_s, row.at = event.t0, event.t_end, boot.utc(event.t0)
@@ -292,6 +327,7 @@ class Events:
                 input_sha256=found.document["inputs"]["sha256"],
                 event_sha256=hashed,
                 document=zstandard.ZstdCompressor(level=6).compress(content),
+                **names,
             )
         )
         for batch in found.batches:
@@ -382,7 +418,8 @@ def _holds_from(row: Installation) -> float:
 
 def _same(rows: Sequence[Event], event: CrashEvent) -> Event | None:
     """The stored event that this one is: of the same kind if there is one, else one that it overlaps."""
-    near = [row for row in rows if row.t0_s - SAME_S <= event.t_end and event.t0 <= row.t_end_s + SAME_S]
+    # Of several blows the one that is told of may change with what is known; the event stays the same.
+    near = [row for row in rows if row.t0_s - SAME_S <= event.ends and event.begins <= row.t_end_s + SAME_S]
     return min(near, key=lambda row: (row.kind != event.kind, abs(row.t0_s - event.t0)), default=None)
 
 

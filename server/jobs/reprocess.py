@@ -12,6 +12,7 @@ import zstandard
 from sqlalchemy.orm import Session
 
 from nav_core.crash import reconstruct_drive
+from nav_core.events.record import CrashEvent
 from server.database import Database
 from server.events import exports, queries
 from server.events.canonical import canonical, settle
@@ -88,8 +89,13 @@ def reprocess(
     except KeyError:
         return Again(event_id, event.revision, revision.algorithm, revision.algorithm, "erased")
     found = run_inputs(inputs, parts, reconstructor)
-    nearest = min(found, key=lambda each: abs(each.t0 - event.t0_s), default=None)
-    if nearest is None or abs(nearest.t0 - event.t0_s) > SAME_S:
+
+    def away(each: CrashEvent) -> float:
+        # Another version may tell of another of its blows.
+        return min(abs(t - event.t0_s) for t in each.blows)
+
+    nearest = min(found, key=away, default=None)
+    if nearest is None or away(nearest) > SAME_S:
         return Again(event_id, event.revision, revision.algorithm, revision.algorithm, "gone")
     again = settle(event_document(nearest, inputs, device_id=event.device_id, boot=event.boot))
     paths = tuple(path for path, _, _ in differences(document, again))
@@ -134,6 +140,7 @@ def _keep(
             input_sha256=document["inputs"]["sha256"],
             event_sha256=sha256(content).hexdigest(),
             document=zstandard.ZstdCompressor(level=6).compress(content),
+            **queries.names(session, event.device_id, event.vehicle_id),
         )
     )
     announce(

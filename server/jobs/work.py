@@ -286,6 +286,7 @@ class Round:
             now=self._now,
         )
         events.take_in(batches)
+        events.judge_anew(mountings.recorded)
         events.revise_unmounted(mountings.recorded)
 
     def _alerts(self, pieces: list[Piece], known: dict[str, Read]) -> None:

@@ -74,6 +74,10 @@ class EventRevision(Base):
     """Of the canonical JSON."""
     document: Mapped[bytes] = mapped_column(LargeBinary)
     """The canonical JSON, zstd; empty once the event is erased."""
+    device_name: Mapped[str | None] = mapped_column(String(200))
+    vehicle_name: Mapped[str | None] = mapped_column(String(200))
+    plate: Mapped[str | None] = mapped_column(String(20))
+    """As they were called then: the report of a revision names them, and must stay the same when they are renamed."""
 
 
 class EventInput(Base):

@@ -164,7 +164,11 @@ def erase_events(
         event.erased_at, event.erasure_id = now, erasure_id
         event.result, event.note, event.hold_reason = {}, None, None
     ids = [event.id for event in events]
-    session.execute(update(EventRevision).where(EventRevision.event_id.in_(ids)).values(document=b""))
+    session.execute(
+        update(EventRevision)
+        .where(EventRevision.event_id.in_(ids))
+        .values(document=b"", device_name=None, vehicle_name=None, plate=None)
+    )
     session.execute(update(EventAction).where(EventAction.event_id.in_(ids)).values(note=None))
     return len(events)
 

@@ -68,9 +68,15 @@ def _aftermath(event: dict[str, Any], words: Words) -> list[str]:
         told.append(words("s_not_braked"))
     for second in event["second_impacts"]:
         low, high = second["resultant_interval95_kmh"]
-        after = number(second["t0_s"] - event["t0_s"], 1)
+        apart = second["t0_s"] - event["t0_s"]
         told.append(
-            words("s_second", t=after, dv=number(second["resultant_kmh"], 1), low=number(low, 1), high=number(high, 1))
+            words(
+                "s_second" if apart > 0.0 else "s_earlier",
+                t=number(abs(apart), 1),
+                dv=number(second["resultant_kmh"], 1),
+                low=number(low, 1),
+                high=number(high, 1),
+            )
         )
     if rest is not None and rest["distance_m"] is not None:
         after, radius = number(rest["t_s"] - event["t0_s"], 1), number(rest["radius95_m"], 1)
@@ -107,7 +113,10 @@ def number_rows(event: dict[str, Any], words: Words) -> list[Row]:
     add("n_duration", pulse["duration_ms"], None, "ms", 0)
     add("n_measured", pulse["measured_delta_v_kmh"], None, "km/h")
     add("n_gps", pulse["gps_delta_v_kmh"], None, "km/h")
-    for k, second in enumerate(event["second_impacts"], start=2):
+    # Numbered in order of time; the strongest, whose numbers stand above, keeps its own.
+    times = sorted([event["t0_s"], *(second["t0_s"] for second in event["second_impacts"])])
+    for second in event["second_impacts"]:
+        k = times.index(second["t0_s"]) + 1
         add("n_second", second["resultant_kmh"], second["resultant_interval95_kmh"], "km/h", k=k)
         add("n_second_pdof", second["pdof_deg"], second["pdof_interval95_deg"], "°", k=k)
     add("n_roll", event["rollover_angle_deg"], event["rollover_angle_interval95_deg"], "°")

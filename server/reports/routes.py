@@ -19,14 +19,14 @@ MEDIA_TYPE = "application/pdf"
 
 
 def heading_of(subject: Subject) -> Heading:
-    """What the report calls things."""
+    """What the report calls things: as they were called when the revision was computed."""
     return Heading(
         event_id=subject.event.id,
         revision=subject.revision.number,
         event_sha256=subject.revision.event_sha256,
-        device_name=subject.device.name,
-        vehicle_name=None if subject.vehicle is None else subject.vehicle.name,
-        plate=None if subject.vehicle is None else subject.vehicle.plate,
+        device_name=subject.revision.device_name or subject.event.device_id,
+        vehicle_name=subject.revision.vehicle_name,
+        plate=subject.revision.plate,
     )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from reportlab.pdfbase.pdfmetrics import stringWidth
 from reportlab.platypus import Flowable
 
 from server.reports.paper import ACCENT, ALARM, BOLD, INK, LINE, MUTED, PLAIN, Canvas, faint, nice_step, polyline
@@ -215,15 +216,15 @@ class WayMap(Flowable):
             row = min(after, key=lambda row: abs(row[0] - t_rest))
             if abs(row[0] - t_rest) < 2.0:
                 places.append(("rest", row[1], row[2], INK))
-        taken: list[tuple[float, float]] = []
-        for name, east, north, colour in places:
-            px, py = self._at(east, north)
+        dots = [self._at(east, north) for _, east, north, _ in places]
+        taken = [(x - 3.0, y - 3.0, x + 3.0, y + 3.0) for x, y in dots]
+        for (name, _, _, colour), (px, py) in zip(places, dots, strict=True):
             canvas.setFillColor(colour)
             canvas.circle(px, py, 2.6, stroke=0, fill=1)
-            while any(abs(px - x) < 40 and abs(py - y) < 9 for x, y in taken):
-                py -= 9
-            taken.append((px, py))
-            canvas.drawString(px + 5, py - 2.5, self._words(name))
+            text = self._words(name)
+            box = room_beside(px, py, stringWidth(text, PLAIN, 7), taken)
+            taken.append(box)
+            canvas.drawString(box[0], box[1] + 1.5, text)
 
     def _draw_scale(self, canvas: Canvas) -> None:
         length = self.grid * self._scale
@@ -245,3 +246,22 @@ class WayMap(Flowable):
             canvas.setFillColor(MUTED)
             canvas.drawString(x + 15, 5.6, words(name))
             x += 18 + 5.0 * len(words(name))
+
+
+Box = tuple[float, float, float, float]
+"""Left, bottom, right, top."""
+
+
+def room_beside(x: float, y: float, width: float, taken: list[Box]) -> Box:
+    """A place for a word beside a dot where nothing is yet: right, left, above, below, and so on further out."""
+    for away in (0.0, 9.0, 18.0, 27.0, 36.0):
+        for left, bottom in (
+            (x + 5.0, y - 4.0 - away),
+            (x - 5.0 - width, y - 4.0 - away),
+            (x - width / 2.0, y + 4.0 + away),
+            (x - width / 2.0, y - 12.0 - away),
+        ):
+            box = (left, bottom, left + width, bottom + 8.0)
+            if not any(box[0] < r and l < box[2] and box[1] < t and b < box[3] for l, b, r, t in taken):
+                return box
+    return x + 5.0, y - 4.0, x + 5.0 + width, y + 4.0

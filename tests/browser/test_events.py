@@ -5,6 +5,7 @@ from __future__ import annotations
 import datetime as dt
 import sys
 from pathlib import Path
+from time import monotonic
 
 import pytest
 from playwright.sync_api import expect
@@ -13,7 +14,7 @@ from sqlalchemy import select
 from server.live.changes import announce
 from server.models import Batch, Boot, Device, Event, Installation
 from tests.browser.test_pages import css, wait_drawn
-from tests.browser.test_view3d import CHATTER, PATIENCE_MS, coloured, viewer
+from tests.browser.test_view3d import CHATTER, PATIENCE_MS, viewer, wait_coloured
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "server"))
 from crash_world import crash, store_event
@@ -152,18 +153,16 @@ def test_the_replay_plays_and_can_be_scrubbed(event, open_page, screenshot):
     expect(time).to_be_visible(timeout=PATIENCE_MS)
     expect(time).not_to_have_value("0.0", timeout=PATIENCE_MS)  # it plays
     frame.locator("body").press("Space")  # viser's key for pause
-    for _ in range(20):  # until the pause has come through, the time runs on under the typing
+    # Until the pause has come through, the time runs on under the typing: what is typed stays once it has.
+    until = monotonic() + PATIENCE_MS / 1000.0
+    while True:
         time.fill("6.8")
-        page.wait_for_timeout(500)
-        if time.input_value() == "6.8":
+        try:
+            expect(time).not_to_have_value("6.8", timeout=1000)
+        except AssertionError:
             break
-    scene = page.locator("scene-3d")
-    red = 0
-    for _ in range(120):  # the scene fades in, slowly where software renders it
-        red = coloured(scene.screenshot())["red"]
-        if red > 300:
-            break
-        page.wait_for_timeout(500)
+        assert monotonic() < until, "the replay does not stop"
+    # The scene fades in, slowly where software renders it; the arrow of the force is there from time zero on.
+    wait_coloured(page.locator("scene-3d"), lambda drawn: drawn["red"] > 300)
     screenshot(page, "event-replay")
-    assert red > 300, "the arrow of the force, which is there from time zero on"
     expect(time).to_have_value("6.8")

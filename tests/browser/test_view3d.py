@@ -6,14 +6,15 @@ import logging
 import math
 import socket
 import threading
-from collections.abc import Generator
+import time
+from collections.abc import Callable, Generator
 
 import numpy as np
 import pytest
 import rich
 import uvicorn
 from PIL import Image
-from playwright.sync_api import FrameLocator, expect
+from playwright.sync_api import FrameLocator, Locator, expect
 from sqlalchemy import select
 
 from nav_core.rotation import thesis_to_matrix
@@ -60,6 +61,16 @@ def coloured(picture: bytes) -> dict[str, int]:
     }
 
 
+def wait_coloured(scene: Locator, enough: Callable[[dict[str, int]], bool]) -> dict[str, int]:
+    """Colours of a scene once there is enough of them: a picture takes a frame, so looking again is the wait."""
+    until = time.monotonic() + PATIENCE_MS / 1000.0
+    while True:
+        drawn = coloured(scene.screenshot(timeout=PATIENCE_MS))
+        if enough(drawn) or time.monotonic() > until:
+            assert enough(drawn), drawn
+            return drawn
+
+
 def dismiss_notice(frame: FrameLocator) -> None:
     """Close viser's notice about software rendering: it covers the scene, and its stripe is orange."""
     notice = frame.locator(".mantine-Notification-closeButton").first
@@ -77,13 +88,7 @@ def test_the_vehicle_page_shows_the_box_in_its_vehicle_and_follows_it(site, open
 
     dismiss_notice(frame)
     picture = page.locator("scene-3d iframe")
-    drawn = {}
-    for _ in range(20):
-        drawn = coloured(picture.screenshot(timeout=PATIENCE_MS))
-        if min(drawn.values()) > 150:
-            break
-        page.wait_for_timeout(500)
-    assert min(drawn.values()) > 150, drawn
+    wait_coloured(picture, lambda drawn: min(drawn.values()) > 150)
     screenshot(page, "vehicle-view3d")
 
     turned = thesis_to_matrix(math.radians(100.0), 0.3, -0.4)
@@ -108,11 +113,7 @@ def test_an_unknown_mounting_is_said_and_not_drawn(site, open_page, screenshot):
     expect(frame.get_by_text("Box is not fixed").first).to_be_visible(timeout=PATIENCE_MS)
     expect(frame.locator(".mounting-words")).to_be_hidden()
     dismiss_notice(frame)
-    for _ in range(20):
-        drawn = coloured(page.locator("scene-3d iframe").screenshot(timeout=PATIENCE_MS))
-        if drawn["red"] > 100:
-            break
-        page.wait_for_timeout(500)
-    assert drawn["red"] > 100, "the vehicle's axes are there"
-    assert drawn["orange"] < 30, "the box is not"
+    # The vehicle's axes are there, the box is not.
+    drawn = wait_coloured(page.locator("scene-3d iframe"), lambda drawn: drawn["red"] > 100)
+    assert drawn["orange"] < 30
     screenshot(page, "vehicle-view3d-phone")

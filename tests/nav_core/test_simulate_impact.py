@@ -137,8 +137,29 @@ def test_impacts_follow_one_another() -> None:
     first, second = truth.events
     assert (first.t0, second.t0) == (30.0, 31.0)
     assert second.speed < 15.0 - 6.0 * np.cos(0.5)
-    assert second.resultant == pytest.approx(4.0)
+    # The blow's, with what friction after the first does within its 80 ms.
+    assert second.resultant == pytest.approx(4.0, abs=6.5 * 0.08)
+    at, until = np.searchsorted(truth.t, [31.0, 31.08])
+    seen = (truth.velocity[until] - truth.velocity[at]) @ truth.R_tv[at]
+    assert [second.longitudinal, second.lateral] == pytest.approx(seen[:2], abs=1e-3)
     assert np.abs(truth.velocity[-1]).max() < 1e-9
+
+
+@pytest.mark.parametrize(("braking", "seconds"), [(3.0, 0.5), (9.0, 3.0)])
+def test_the_driver_brakes_for_an_impact(braking: float, seconds: float) -> None:
+    impact = Impact(t=40.0, delta_v=5.0, speed=8.0, braking=braking, braking_time=seconds)
+    _, truth = simulate(Scenario(duration=60.0, impacts=(impact,)), seed=4)
+    (event,) = truth.events
+    at = np.interp([40.0 - seconds - 0.3, 40.0 - seconds / 2.0, 40.0, 59.0], truth.t, truth.v)
+    assert at[0] == pytest.approx(8.0 + braking * seconds, abs=0.2)
+    assert np.interp(40.0 - seconds / 2.0, truth.t, truth.a_x) == pytest.approx(-braking, rel=0.15)
+    assert event.speed == pytest.approx(at[2])
+    assert at[2] == pytest.approx(8.0, abs=0.1 * braking)
+    assert at[3] == pytest.approx(0.0, abs=1e-9)
+    # What the brakes do until they let go is of the change, too.
+    assert event.longitudinal == pytest.approx(-5.0, abs=0.15 * braking)
+    # The box, above the axle the body pitches about, sways a little on top.
+    assert event.longitudinal == pytest.approx(delta_v(truth)[0], abs=0.01 * braking)
 
 
 def test_the_road_before_an_impact_is_the_same_without_it() -> None:
@@ -150,7 +171,7 @@ def test_the_road_before_an_impact_is_the_same_without_it() -> None:
     assert np.allclose(struck.v[before], spared.v[before])
 
 
-@pytest.mark.parametrize("fields", [{"duration": 0.0}, {"delta_v": -1.0}, {"speed": -2.0}])
+@pytest.mark.parametrize("fields", [{"duration": 0.0}, {"delta_v": -1.0}, {"speed": -2.0}, {"braking": 3.0}])
 def test_impacts_without_a_meaning_are_refused(fields: dict[str, float]) -> None:
     with pytest.raises(RangeError):
         Impact(**{"t": 1.0, "delta_v": 1.0, **fields})

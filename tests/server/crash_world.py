@@ -14,16 +14,15 @@ from nav_core.events.record import (
     Basis,
     CrashEvent,
     DeltaV,
-    Driver,
     Estimate,
     Indices,
     InjuryRisk,
     Pulse,
-    Rest,
     SecondImpact,
-    Trajectory,
 )
+from nav_core.events.way import Driver, Rest, Trajectory
 from nav_core.records import Remark
+from server.events import queries
 from server.events.canonical import canonical, settle
 from server.events.document import document_of
 from server.jobs.events import batch_json, clock_json, mounting_json
@@ -230,6 +229,7 @@ def store_event(
             input_sha256=document["inputs"]["sha256"],
             event_sha256=hashlib.sha256(content).hexdigest(),
             document=zstandard.ZstdCompressor().compress(content),
+            **queries.names(session, device.id, device.vehicle_id),
         )
     )
     session.add_all(EventInput(event_id=row.id, batch_id=batch.id) for batch in batches)

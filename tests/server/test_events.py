@@ -23,7 +23,7 @@ from server.devices.schemas import DeviceIn
 from server.devices.service import register
 from server.events.queries import canonical_bytes
 from server.jobs.reprocess import reprocess, severe_events
-from server.models import Batch, Event, EventRevision, Organisation
+from server.models import Batch, Device, Event, EventRevision, Organisation, Vehicle
 from server.store import collect
 
 T0 = 100.0
@@ -97,7 +97,7 @@ def test_one_event_and_its_canonical_json(admin, event):
     detail = admin.get(f"/api/v1/events/{event['id']}").raise_for_status().json()
     content = admin.get(f"/api/v1/events/{event['id']}/event.json").raise_for_status().content
     assert hashlib.sha256(content).hexdigest() == detail["event_sha256"]
-    assert detail["algorithm"] == "crash-1"
+    assert detail["algorithm"] == "crash-2"
     assert json.loads(content)["inputs"]["sha256"] == detail["input_sha256"]
     assert admin.get("/api/v1/events/" + "0" * 32).status_code == 404
 
@@ -162,6 +162,36 @@ def test_the_trace_in_three_formats(admin, event):
     first = next(message for _, _, message in recording.iter_messages())
     assert first.log_time / 1e9 == pytest.approx(1_772_366_520.25 - 30.0, abs=0.2)
     assert admin.get(url, params={"format": "xlsx"}).status_code == 422
+
+
+def test_the_report_of_a_revision_stays_the_same_when_things_are_renamed(world, admin, event):
+    url = f"/api/v1/events/{event['id']}/report.pdf"
+    before, archive = admin.get(url).content, f"/api/v1/events/{event['id']}/evidence.zip"
+    reports = zipped(admin.get(archive).content, "report-en.pdf")
+    with world.database.transaction() as session:
+        device = session.get_one(Device, event["device_id"])
+        device.name = "Renamed since"
+        vehicle = Vehicle(
+            organisation_id=device.organisation_id, name="Fiat Panda", vehicle_class="car", created_at=device.created_at
+        )
+        session.add(vehicle)
+        session.flush()
+        session.get_one(Event, event["id"]).vehicle_id = vehicle.id
+    assert admin.get(url).content == before
+    assert zipped(admin.get(archive).content, "report-en.pdf") == reports
+    # What is computed from then on has the names of then.
+    world.reconstructor.events = [crash(T0, status="settling")]
+    again = reprocess(world.database, world.store, event["id"], clock=world.clock, reconstructor=world.reconstructor)
+    assert again.outcome == "revised"
+    revisions = world.rows(EventRevision, EventRevision.number)
+    newest = [row for row in revisions if row.event_id == event["id"]][-1]
+    assert (newest.device_name, newest.vehicle_name, newest.plate) == ("Renamed since", "Fiat Panda", None)
+    assert admin.get(url, params={"revision": again.revision - 1}).content == before
+
+
+def zipped(content: bytes, name: str) -> bytes:
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        return archive.read(name)
 
 
 def test_the_report_in_two_languages_is_the_same_each_time(admin, event):

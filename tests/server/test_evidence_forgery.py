@@ -85,6 +85,7 @@ FORGERIES = {
     "event": another_event,
     "csv": lambda files: {**files, "raw/1.csv": b"t,fx\n0,0\n"},
     "reports": lambda files: {**files, "report-en.pdf": b"no pdf", "edr.json": b"{}"},
+    "edr.csv": lambda files: {**files, "edr.csv": files["edr.csv"].replace(b"km/h", b"mph", 1)},
     "raw": lambda files: {n: d for n, d in files.items() if not n.startswith("raw/")},
     "seal": no_seal,
     "revision": lambda files: {**files, "revisions/1.json": b"{}"},
@@ -94,6 +95,7 @@ FORGERIES = {
 CONTRADICTIONS = {
     "csv": ["raw/N.csv tell what raw/N.columns hold"],
     "reports": ["edr.json tells what event.json tells"],
+    "edr.csv": ["edr.csv tells what event.json tells"],
     "raw": ["raw data are there of all that the event rests on"],
     "seal.txt": ["seal.txt is what was sealed"],
 }
@@ -173,7 +175,7 @@ def test_columns_read_as_the_store_holds_them(world, admin):
         columns_of(b"other\n")
 
 
-@pytest.mark.parametrize("missing", ["event.json", "manifest.json", "chain.json", "edr.json", "seal.txt"])
+@pytest.mark.parametrize("missing", ["event.json", "manifest.json", "chain.json", "edr.json", "edr.csv", "seal.txt"])
 def test_a_folder_that_lacks_a_file_is_told_so(world, signing, admin, tmp_path, capsys, missing):
     assert seal_waiting(world.database, signing, now=world.clock()) == 1
     folder = tmp_path / "unpacked"

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import dataclasses
 import hashlib
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -165,6 +165,50 @@ def test_a_manoeuvre_is_not_revised_without_news_and_withdrawn_when_it_was_none(
         assert not queries.events(session, world.organisation.id, limit=5)
 
 
+@pytest.mark.parametrize(("seconds", "found_at"), [(20.0, 0.0), (20.0, 250.0), (300.0, 0.0)])
+def test_manoeuvres_are_judged_with_the_mounting_of_their_time_however_late_a_move_is_found(world, seconds, found_at):
+    """One that only the old mounting shows, after the move; one that only the new one shows; one before the move."""
+    upright, over = np.eye(3).tolist(), np.diag([1.0, -1.0, -1.0]).tolist()
+    shown = {60.0: upright, 130.0: upright, 145.0: over, 200.0: over}
+
+    def seen(drive, mounting, **options):
+        found = Reconstructor(*(braking(at) for at in shown))(drive, mounting, **options)
+        R_va = None if mounting.R_va is None else mounting.R_va.tolist()
+        return tuple(each for each in found if shown[each.t0] == R_va)
+
+    estimator = world.estimator
+
+    def late(ticks, gnss, *others):
+        early = ticks.t[-1] < found_at
+        told = estimator(ticks, gnss, *others)
+        return told._replace(estimate=replace(told.estimate, R_va=np.eye(3), changes=())) if early else told
+
+    world.estimator, world.reconstructor = late, seen
+    for k, batch in enumerate(cut(drive_of(Leg(100, 12.0), Leg(200, 10.0, down=-1.0)), seconds=seconds)):
+        world.put(batch, k)
+        world.bring_up()
+    world.settle()
+    assert [row.beginning for row in world.rows(Installation, Installation.began_at)] == ["first", "moved"]
+    stand = [row.t0_s for row in world.rows(Event, Event.t0_s) if row.withdrawn_at is None]
+    assert stand == [60.0, 145.0, 200.0]
+
+
+def test_a_severe_event_is_found_again_when_a_stronger_blow_of_it_comes_to_light(world):
+    """The burst holds the first blow; what comes later holds a stronger one 3 s on: one event, its headline moves."""
+    world.put(burst(), 0, stream="burst")
+    world.bring_up()
+    first = world.one(Event)
+    weaker = crash(T0).second_impacts[0]
+    weaker = replace(weaker, t0=T0, t_end=T0 + 0.1)
+    world.reconstructor.events = [replace(crash(T0 + 3.0), second_impacts=(weaker,))]
+    for k, batch in enumerate(cut(drive_of(*DRIVE), seconds=20.0)):
+        world.put(batch, k)
+        world.bring_up()
+    event = world.one(Event)
+    assert (event.id, event.withdrawn_at) == (first.id, None)
+    assert event.t0_s == T0 + 3.0
+
+
 def test_events_that_cannot_be_computed_keep_no_batch_from_being_worked_off(world):
     def broken(*_, **__):
         raise ValueError("bad")
@@ -217,7 +261,7 @@ def test_canonical_bytes_do_not_depend_on_order_or_last_bits():
 def test_a_severe_event_of_another_kind_is_a_revision(world):
     world.put(burst(), 0, stream="burst")
     world.bring_up()
-    world.reconstructor.events = [dataclasses.replace(crash(T0), kind="parked_impact")]
+    world.reconstructor.events = [replace(crash(T0), kind="parked_impact")]
     world.put(cut(drive_of(*DRIVE), seconds=20.0)[4], 4)
     world.bring_up()
     event = world.one(Event)

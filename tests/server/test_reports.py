@@ -21,6 +21,7 @@ from server.reports import parts
 from server.reports.figures import number_rows, sentences
 from server.reports.paper import load_fonts
 from server.reports.pdf import Heading, report_pdf
+from server.reports.sketch import room_beside
 from server.reports.words import ENGLISH, ITALIAN, ITALIAN_REMARKS, Words
 
 NAV_CORE = Path(__file__).resolve().parents[2] / "nav_core"
@@ -173,3 +174,15 @@ def test_report_elements_and_replay_together_take_under_two_seconds_of_cpu():
     rich.reconfigure(quiet=False)
     print(f"report, elements and replay: {took:.2f} s of CPU")
     assert took < 2.0
+
+
+@pytest.mark.parametrize("apart", [(0.0, 0.0), (3.0, 2.0), (-12.0, 0.0), (6.0, -4.0), (0.0, 9.0), (30.0, 1.0)])
+def test_words_beside_marks_that_are_close_together_do_not_lie_upon_each_other(apart):
+    dots = [(100.0, 80.0), (100.0 + apart[0], 80.0 + apart[1]), (101.0, 79.0)]
+    taken = [(x - 3.0, y - 3.0, x + 3.0, y + 3.0) for x, y in dots]
+    for (x, y), width in zip(dots, (24.0, 16.0, 30.0), strict=True):
+        left, bottom, right, top = room_beside(x, y, width, taken)
+        assert right - left == pytest.approx(width)
+        assert not any(left < r and l < right and bottom < t and b < top for l, b, r, t in taken)
+        assert abs(0.5 * (bottom + top) - y) < 45.0
+        taken.append((left, bottom, right, top))

@@ -134,7 +134,8 @@ export function namedPoints(map, id, data, fill, edge) {
   map.addLayer({ id, type: "circle", source: id, paint: { "circle-radius": 6, "circle-stroke-width": 3, "circle-stroke-color": edge, "circle-color": fill } });
   map.addLayer({
     id: `${id}-words`, type: "symbol", source: id,
-    layout: { "text-field": ["get", "say"], "text-size": 12, "text-anchor": "top", "text-offset": [0, 0.8], "text-allow-overlap": true },
+    // Where points lie close together, their words go to different sides.
+    layout: { "text-field": ["get", "say"], "text-size": 12, "text-variable-anchor": ["top", "bottom", "right", "left", "top-right", "bottom-left"], "text-radial-offset": 0.9, "text-justify": "auto" },
     paint: { "text-color": colour("ink"), "text-halo-color": colour("card"), "text-halo-width": 1.5 },
   });
 }

@@ -1,0 +1,109 @@
+"""What an event is judged in: the stream, what the fixes say of speed, whether the vehicle stood."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from nav_core.earth import STANDARD_GRAVITY
+from nav_core.events.level import PLAIN, usual_force
+from nav_core.events.record import VehicleClass
+from nav_core.events.trigger import Stream
+from nav_core.records import Gnss
+from nav_core.typing import Floats
+
+STANDS, MOVES = 0.8, 2.0
+"""Below and above these speeds a vehicle stands and moves for certain, m/s."""
+
+STILL = 0.16
+"""Scatter of the force within 0.2 s at standstill, m/s², with the engine running."""
+
+STEADY = 1.0
+"""At standstill the force strays by less than this from one half second to the next, m/s²."""
+
+
+class Scene(NamedTuple):
+    """What classification looks at: the stream, when fixes describe what speed, the vehicle's class.
+
+    Attributes
+    ----------
+    stream : Stream
+    fix_t, fix_speed : ndarray, shape (k,)
+        Moments that the fixes describe (the lag taken off), s, and their speed, m/s.
+    lag_sigma : float
+        s.
+    vehicle_class : VehicleClass
+    level : ndarray, shape (3,)
+        Usual force of a vehicle that neither brakes nor turns, m/s²: what the sensor makes of gravity.
+    """
+
+    stream: Stream
+    fix_t: Floats
+    fix_speed: Floats
+    lag_sigma: float
+    vehicle_class: VehicleClass
+    level: Floats
+
+    def speed_before(self, t: float) -> float | None:
+        """Speed of the last fix before `t`, at most 5 s old, m/s."""
+        k = int(np.searchsorted(self.fix_t, t - 2.0 * self.lag_sigma)) - 1
+        return float(self.fix_speed[k]) if k >= 0 and t - self.fix_t[k] < 5.0 else None
+
+    def speed_after(self, t: float) -> float | None:
+        """Speed of the first fix well after `t`, at most 3 s later, m/s."""
+        k = int(np.searchsorted(self.fix_t, t + 0.1 + 2.0 * self.lag_sigma))
+        return float(self.fix_speed[k]) if k < self.fix_t.size and self.fix_t[k] - t < 3.0 else None
+
+    def stands_before(self, t: float) -> bool:
+        """Whether the vehicle stood before `t`: by the fixes, else by a force that is quiet."""
+        speed, earlier = self.speed_before(t), self.speed_before(t - 2.0)
+        if speed is not None:
+            return speed < STANDS and (earlier is None or earlier < STANDS)
+        scatter = scatter_of(self.stream, t - 2.0, t - 0.1)
+        return scatter is not None and scatter < STILL and not self.brakes_before(t)
+
+    def brakes_before(self, t: float) -> bool:
+        """Whether the force before `t` shows a vehicle that slows down, however smoothly."""
+        means = [self.stream.mean(begin, begin + 0.45) for begin in (t - 2.0, t - 1.5, t - 1.0, t - 0.55)]
+        seen = np.array([mean for mean in means if mean is not None])
+        if seen.size == 0:
+            return False
+        size = np.linalg.norm(seen, axis=1)
+        if float(np.median(size)) > np.linalg.norm(self.level) + PLAIN:
+            return True
+        # Braking by `a` adds to gravity at a right angle; a box that is tilted by hand shows gravity alone.
+        stray = float(np.ptp(seen, axis=0).max())
+        return stray > STEADY and float(np.ptp(size)) > stray**2 / (4.0 * STANDARD_GRAVITY)
+
+
+def scene_of(
+    stream: Stream, gnss: Gnss | None, speed_lag: float, lag_sigma: float, vehicle_class: VehicleClass
+) -> Scene:
+    """Scene of a recording."""
+    none = np.zeros(0)
+    fix_t, fix_speed = (none, none) if gnss is None else (gnss.t - speed_lag, gnss.speed)
+    level = usual_force(stream.t, stream.f)
+    return Scene(stream, fix_t, fix_speed, min(lag_sigma, 0.2), vehicle_class, level)
+
+
+def scatter_of(stream: Stream, begin: float, end: float) -> float | None:
+    """Usual scatter of the force within fifths of a second, each axis, m/s²; None of less than a second."""
+    first, last = np.searchsorted(stream.t, [begin, end])
+    if last - first < 8 or stream.t[last - 1] - stream.t[first] < 1.0:
+        return None
+    step = float(np.median(np.diff(stream.t[first:last])))
+    width = max(round(0.2 / step), 2)
+    part = stream.f[first:last]
+    rows = part[: part.shape[0] // width * width].reshape(-1, width, 3)
+    return float(np.median(rows.std(axis=1)))
+
+
+def restless(stream: Stream, begin: float, end: float) -> float:
+    """Scatter of the force about its mean, all axes, in the calmer half of a time, m/s²; 0 without samples.
+
+    A box that is carried is never calm; a vehicle that was bumped a moment ago was calm before that, or is since.
+    """
+    first, middle, last = np.searchsorted(stream.t, [begin, 0.5 * (begin + end), end])
+    halves = [stream.f[first:middle], stream.f[middle:last]]
+    return min(float(np.linalg.norm(half.std(axis=0))) if half.shape[0] > 4 else 0.0 for half in halves)
