@@ -5,14 +5,10 @@
 import * as maplibre from "../vendor/maplibre-gl/maplibre-gl.mjs";
 import { colour } from "./palette.js";
 
-/** @typedef {import("../vendor/maplibre-gl/maplibre-gl.mjs").StyleSpecification} Style */
-/** @typedef {import("../vendor/maplibre-gl/maplibre-gl.mjs").Map} Map */
-
 const WORLD = "/static/vendor/world-atlas";
 const GRID_FROM_ZOOM = 10;
 const METRES_PER_DEGREE = 111_320;
 
-/** @typedef {{tiles: string, pmtiles: string}} Ground */
 let registered = false;
 
 /** The operator's archive of tiles as sources and layers: pictures, or shapes by the Protomaps schema. @param {string} url */
@@ -34,10 +30,10 @@ async function archive(url) {
   ] };
 }
 
-/** @param {string} tiles template of the operator's raster tiles, or empty @param {{source: object, layers: object[]} | undefined} more @returns {Style} */
+/** @param {string} tiles template of the operator's raster tiles, or empty @param {{source: object, layers: object[]} | undefined} more @returns {MapStyle} */
 function style(tiles, more) {
   const [sea, land, border, ink, grid] = ["sea", "land", "border", "map-ink", "grid"].map(colour);
-  return /** @type {Style} */ ({
+  return /** @type {MapStyle} */ ({
     version: 8,
     sources: {
       land: { type: "geojson", data: `${WORLD}/land.geojson` },
@@ -67,7 +63,7 @@ export function collection(features) {
   return /** @type {GeoJSON.FeatureCollection} */ ({ type: "FeatureCollection", features });
 }
 
-/** Lines a round number of metres apart over what is in view. @param {Map} map */
+/** Lines a round number of metres apart over what is in view. @param {MapView} map */
 function metricGrid(map) {
   if (map.getZoom() < GRID_FROM_ZOOM) return collection([]);
   const bounds = map.getBounds();
@@ -87,7 +83,7 @@ function metricGrid(map) {
 
 /**
  * A map in an element.  `dress` adds own sources and layers; it runs again when the colour scheme changes.
- * @param {HTMLElement} host with the operator's `tiles` or `pmtiles` @param {(map: Map) => void} dress
+ * @param {HTMLElement} host with the operator's `tiles` or `pmtiles` @param {(map: MapView) => void} dress
  */
 export function makeMap(host, dress) {
   const tiles = host.getAttribute("tiles") ?? "", pmtiles = host.getAttribute("pmtiles") ?? "";
@@ -101,10 +97,7 @@ export function makeMap(host, dress) {
   map.touchZoomRotate.disableRotation();
   map.addControl(new maplibre.NavigationControl({ showCompass: false }), "top-right");
   map.addControl(new maplibre.ScaleControl({ unit: "metric" }), "bottom-right");
-  const drawGrid = () => {
-    const source = map.getSource("grid");
-    if (source instanceof maplibre.GeoJSONSource) source.setData(metricGrid(map));
-  };
+  const drawGrid = () => put(map, "grid", metricGrid(map));
   map.on("style.load", () => { dress(map); drawGrid(); });
   map.on("moveend", drawGrid);
   const restyle = async () => {
@@ -116,7 +109,7 @@ export function makeMap(host, dress) {
   return map;
 }
 
-/** Show the points, a single one at street zoom. @param {Map} map @param {[number, number][]} points @param {number} maxZoom */
+/** Show the points, a single one at street zoom. @param {MapView} map @param {[number, number][]} points @param {number} maxZoom */
 export function fit(map, points, maxZoom) {
   const [first] = points;
   if (!first) return;
@@ -142,3 +135,22 @@ export function note(host, words) {
   if (!line) { line = document.createElement("p"); line.className = "map-note"; host.append(line); }
   line.textContent = words;
 }
+
+/** Named points over everything else. @param {MapView} map @param {string} id @param {GeoJSON.FeatureCollection} data @param {any} fill by the feature @param {string} edge */
+export function namedPoints(map, id, data, fill, edge) {
+  map.addSource(id, { type: "geojson", data });
+  map.addLayer({ id, type: "circle", source: id, paint: { "circle-radius": 6, "circle-stroke-width": 3, "circle-stroke-color": edge, "circle-color": fill } });
+  map.addLayer({
+    id: `${id}-words`, type: "symbol", source: id,
+    layout: { "text-field": ["get", "say"], "text-size": 12, "text-anchor": "top", "text-offset": [0, 0.8], "text-allow-overlap": true },
+    paint: { "text-color": colour("ink"), "text-halo-color": colour("card"), "text-halo-width": 1.5 },
+  });
+}
+
+/** Other data for a source. @param {MapView | undefined} map @param {string} id @param {GeoJSON.FeatureCollection} data */
+export function put(map, id, data) {
+  const source = map?.getSource(id);
+  if (source instanceof maplibre.GeoJSONSource) source.setData(data);
+}
+
+export const ROUND = /** @type {const} */ ({ "line-cap": "round", "line-join": "round" });

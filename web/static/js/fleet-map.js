@@ -1,13 +1,11 @@
 // <fleet-map tiles="" pmtiles="">: every box of the list with a position is a mark; colour and shape say the state.
 // Positions move with the live stream, a crowd of them at a time; states and filters come from /fleet/places.
 
-import { Popup, GeoJSONSource } from "../vendor/maplibre-gl/maplibre-gl.mjs";
-import { collection, fit, icon, makeMap, note } from "./basemap.js";
+import { Popup } from "../vendor/maplibre-gl/maplibre-gl.mjs";
+import { collection, fit, icon, makeMap, note, put } from "./basemap.js";
 import { colour } from "./palette.js";
 import { t } from "./words.js";
 
-/** @typedef {import("../vendor/maplibre-gl/maplibre-gl.mjs").Map} Map */
-/** @typedef {[id: string, url: string, name: string, mark: string, words: string, lat: number, lon: number]} Place */
 const SIZE = 22;
 const TAU = 2 * Math.PI;
 const BATCH_MS = 500;
@@ -22,8 +20,8 @@ const SHAPES = {
 };
 
 class FleetMap extends HTMLElement {
-  /** @type {Map | undefined} */ #map;
-  /** By id. @type {globalThis.Map<string, Place>} */ #places = new Map();
+  /** @type {MapView | undefined} */ #map;
+  /** By id. @type {Map<string, Spot>} */ #places = new Map();
   /** What the view was fitted to; a reader who moved the map since is left alone. */
   #fitted = "";
   #touched = false;
@@ -59,7 +57,7 @@ class FleetMap extends HTMLElement {
     this.#map?.remove();
   }
 
-  /** @param {Map} map */
+  /** @param {MapView} map */
   #dress(map) {
     const card = colour("card"), ink = colour("ink");
     for (const [state, outline] of Object.entries(SHAPES)) {
@@ -110,7 +108,7 @@ class FleetMap extends HTMLElement {
     const answer = await fetch(`/fleet/places${location.search}`).catch(() => undefined);
     if (asked !== this.#asked) return;  // a later question is on its way
     if (!answer?.ok) { note(this, t("The positions could not be read")); return; }
-    /** @type {Place[]} */
+    /** @type {Spot[]} */
     const places = await answer.json();
     this.#places = new Map(places.map((place) => [place[0], place]));
     this.#draw();
@@ -126,8 +124,7 @@ class FleetMap extends HTMLElement {
   };
 
   #draw() {
-    const source = this.#map?.getSource("boxes");
-    if (source instanceof GeoJSONSource) source.setData(this.#features());
+    put(this.#map, "boxes", this.#features());
     this.dataset.marks = String(this.#places.size);
     const shown = [...this.#places.keys()].sort().join();
     if (this.#map && !this.#touched && shown !== this.#fitted) {
