@@ -11,23 +11,19 @@ const METRES_PER_DEGREE = 111_320;
 
 let registered = false;
 
-/** The operator's archive of tiles as sources and layers: pictures, or shapes by the Protomaps schema. @param {string} url */
-async function archive(url) {
+/** The operator's archive of tiles as a source and layers: pictures, or shapes by the Protomaps schema. @param {string} address */
+async function archive(address) {
   const { PMTiles, Protocol } = await import("../vendor/pmtiles/pmtiles.mjs");
-  if (!registered) { registered = true; maplibre.addProtocol("pmtiles", new Protocol().tile); }
-  const shapes = (await new PMTiles(new URL(url, location.href).href).getHeader()).tileType === 1;
-  const source = { type: shapes ? "vector" : "raster", url: `pmtiles://${new URL(url, location.href).href}`, ...(!shapes && { tileSize: 256 }) };
-  if (!shapes) return { source, layers: [{ id: "tiles", type: "raster", source: "tiles" }] };
-  const layer = (/** @type {string} */ name, /** @type {string} */ type, /** @type {object} */ paint, /** @type {object} */ more = {}) => ({ id: `pm-${name}`, type, source: "tiles", "source-layer": name, paint, ...more });
-  const line = colour("border"), ink = colour("map-ink"), land = colour("land");
-  return { source, layers: [
-    layer("earth", "fill", { "fill-color": land }),
-    layer("water", "fill", { "fill-color": colour("sea") }),
-    layer("buildings", "fill", { "fill-color": line, "fill-opacity": 0.35 }),
-    layer("roads", "line", { "line-color": line, "line-width": ["interpolate", ["exponential", 1.6], ["zoom"], 6, 0.4, 18, 12] }),
-    layer("boundaries", "line", { "line-color": line, "line-dasharray": [3, 2] }),
-    layer("places", "symbol", { "text-color": ink, "text-halo-color": land, "text-halo-width": 1.2 }, { layout: { "text-field": ["get", "name"], "text-size": 12 } }),
-  ] };
+  if (!registered) maplibre.addProtocol("pmtiles", new Protocol().tile);
+  registered = true;
+  const url = new URL(address, location.href).href;
+  const shapes = (await new PMTiles(url).getHeader()).tileType === 1;
+  const drawn = shapes ? await (await fetch("/static/map/protomaps.json")).text() : '[{"id":"tiles","type":"raster"}]';
+  const layers = JSON.parse(drawn.replace(/"@([\w-]+)"/g, (_, name) => JSON.stringify(colour(name))));
+  return {
+    source: { type: shapes ? "vector" : "raster", url: `pmtiles://${url}`, ...(!shapes && { tileSize: 256 }) },
+    layers: layers.map((/** @type {object} */ layer) => ({ ...layer, source: "tiles" })),
+  };
 }
 
 /** @param {string} tiles template of the operator's raster tiles, or empty @param {{source: object, layers: object[]} | undefined} more @returns {MapStyle} */
@@ -100,6 +96,8 @@ export function makeMap(host, dress) {
   const drawGrid = () => put(map, "grid", metricGrid(map));
   map.on("style.load", () => { dress(map); drawGrid(); });
   map.on("moveend", drawGrid);
+  map.on("resize", () => frames.get(map)?.());
+  map.on("movestart", (event) => { if (event.originalEvent) frames.delete(map); });
   const restyle = async () => {
     if (pmtiles) more = await archive(pmtiles).catch(() => undefined);  // without it the outline stays
     map.setStyle(style(tiles, more), { diff: false });
@@ -109,23 +107,17 @@ export function makeMap(host, dress) {
   return map;
 }
 
-/** Show the points, a single one at street zoom. @param {MapView} map @param {[number, number][]} points @param {number} maxZoom */
+/** How a map's view was framed; a reader who moved it since is left alone. @type {WeakMap<MapView, () => void>} */
+const frames = new WeakMap();
+
+/** Show the points, a single one at street zoom, also when the map changes its size. @param {MapView} map @param {[number, number][]} points @param {number} maxZoom */
 export function fit(map, points, maxZoom) {
   const [first] = points;
   if (!first) return;
   const bounds = points.reduce((b, p) => b.extend(p), new maplibre.LngLatBounds(first, first));
-  map.fitBounds(bounds, { padding: 56, maxZoom, animate: false });
-}
-
-/** A canvas to draw an icon on, at twice the size. @param {number} size @param {(c: CanvasRenderingContext2D, s: number) => void} draw */
-export function icon(size, draw) {
-  const canvas = document.createElement("canvas");
-  canvas.width = canvas.height = size * 2;
-  const context = canvas.getContext("2d");
-  if (!context) throw new Error("no 2D canvas");
-  context.scale(2, 2);
-  draw(context, size);
-  return context.getImageData(0, 0, size * 2, size * 2);
+  const frame = () => { map.fitBounds(bounds, { padding: 56, maxZoom, animate: false }); };
+  frame();
+  frames.set(map, frame);
 }
 
 /** A line of words over a map, or none. @param {HTMLElement} host @param {string} words */

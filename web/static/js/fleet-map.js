@@ -2,7 +2,7 @@
 // Positions move with the live stream, a crowd of them at a time; states and filters come from /fleet/places.
 
 import { Popup } from "../vendor/maplibre-gl/maplibre-gl.mjs";
-import { collection, fit, icon, makeMap, note, put } from "./basemap.js";
+import { collection, fit, makeMap, note, put } from "./basemap.js";
 import { colour } from "./palette.js";
 import { t } from "./words.js";
 
@@ -61,17 +61,16 @@ class FleetMap extends HTMLElement {
   #dress(map) {
     const card = colour("card"), ink = colour("ink");
     for (const [state, outline] of Object.entries(SHAPES)) {
-      const image = icon(SIZE, (c, size) => {
-        c.beginPath();
-        outline(c, size / 2);
-        c.lineWidth = state === "unknown" ? 7 : 3;
-        c.lineJoin = "round";
-        c.strokeStyle = card;
-        c.stroke();
-        if (state === "unknown") { c.lineWidth = 3.5; c.strokeStyle = colour("unknown-fill"); c.stroke(); }
-        else { c.fillStyle = colour(`${state}-fill`); c.fill(); }
-      });
-      map.addImage(state, image, { pixelRatio: 2 });
+      const c = /** @type {any} */ (new OffscreenCanvas(2 * SIZE, 2 * SIZE).getContext("2d"));
+      c.scale(2, 2);
+      outline(c, SIZE / 2);
+      c.lineWidth = state === "unknown" ? 7 : 3;
+      c.lineJoin = "round";
+      c.strokeStyle = card;
+      c.stroke();
+      if (state === "unknown") { c.lineWidth = 3.5; c.strokeStyle = colour("unknown-fill"); c.stroke(); }
+      else { c.fillStyle = colour(`${state}-fill`); c.fill(); }
+      map.addImage(state, c.getImageData(0, 0, 2 * SIZE, 2 * SIZE), { pixelRatio: 2 });
     }
     map.addSource("boxes", {
       type: "geojson", data: this.#features(), cluster: true, clusterRadius: 36, clusterMaxZoom: 13,

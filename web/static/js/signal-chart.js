@@ -272,9 +272,8 @@ function timeWords(_, ticks) {
 }
 
 /** Tells the map which instant is under the cursor. @param {uPlot} plot */
-function tell(plot) {
-  const left = plot.cursor.left ?? -1;
-  document.dispatchEvent(new CustomEvent("scatola:cursor", { detail: { at: left < 0 ? null : plot.posToVal(left, "x") } }));
+function tell({ cursor: { left = -1 }, posToVal }) {
+  document.dispatchEvent(new CustomEvent("scatola:cursor", { detail: { at: left < 0 ? null : posToVal(left, "x") } }));
 }
 
 customElements.define("signal-chart", SignalChart);
