@@ -77,7 +77,8 @@ def seed_many(session: Session, organisation_id: str, count: int, *, now: dt.dat
             rows.append(
                 Trip(
                     organisation_id=organisation_id, device_id=device.id, vehicle_id=vehicle.id, boot="b",
-                    t_first_s=0.0, t_last_s=1800.0, began_at=began, ended_at=began + dt.timedelta(minutes=30), under_way=False,
+                    t_first_s=0.0, t_last_s=1800.0, began_at=began, ended_at=began + dt.timedelta(minutes=30),
+                    under_way=False,
                     distance_m=draw.uniform(1e3, 4e4), position_distance_m=1.0, moving_s=1500.0, max_speed_mps=30.0,
                     algorithm="seed/1", input_sha256="0" * 64,
                 )
