@@ -131,7 +131,7 @@ export function note(host, words) {
 /** Named points over everything else. @param {MapView} map @param {string} id @param {GeoJSON.FeatureCollection} data @param {any} fill by the feature @param {string} edge */
 export function namedPoints(map, id, data, fill, edge) {
   map.addSource(id, { type: "geojson", data });
-  map.addLayer({ id, type: "circle", source: id, paint: { "circle-radius": 6, "circle-stroke-width": 3, "circle-stroke-color": edge, "circle-color": fill } });
+  map.addLayer({ id, type: "circle", source: id, paint: { "circle-radius": 6, "circle-stroke-width": 2.5, "circle-stroke-color": edge, "circle-color": fill } });
   map.addLayer({
     id: `${id}-words`, type: "symbol", source: id,
     // Where points lie close together, their words go to different sides.

@@ -24,11 +24,6 @@ class EventCharts extends HTMLElement {
     new ResizeObserver(() => { for (const plot of this.#plots) plot.setSize({ width: plot.root.parentElement?.clientWidth || 300, height: HEIGHT }); }).observe(this);
   }
 
-  disconnectedCallback() {
-    document.removeEventListener("scatola:change", this.#onChange);
-    for (const plot of this.#plots) plot.destroy();
-  }
-
   /** A further revision of this event. @param {Event} event */
   #onChange = (event) => {
     const change = /** @type {CustomEvent<{kind: string, event_id?: string, revision?: number}>} */ (event).detail;

@@ -17,8 +17,6 @@ class EventMap extends HTMLElement {
 
   connectedCallback() { whenSeen(this, () => void this.#open()); }
 
-  disconnectedCallback() { this.#map?.remove(); }
-
   async #open() {
     let found;
     try { found = await eventDocument(this.getAttribute("document") ?? ""); } catch { return; }

@@ -50,13 +50,6 @@ class FleetMap extends HTMLElement {
     void this.#ask();
   }
 
-  disconnectedCallback() {
-    document.removeEventListener("scatola:parts", this.#ask);
-    document.removeEventListener("scatola:change", this.#onChange);
-    clearTimeout(this.#later);
-    this.#map?.remove();
-  }
-
   /** @param {MapView} map */
   #dress(map) {
     const card = colour("card"), ink = colour("ink");

@@ -52,15 +52,6 @@ class SignalChart extends HTMLElement {
     void this.#fetch();
   }
 
-  disconnectedCallback() {
-    document.removeEventListener("scatola:change", this.#onChange);
-    document.removeEventListener("scatola:parts", this.#onParts);
-    document.removeEventListener("scatola:zone", this.#redraw);
-    document.removeEventListener("scatola:place", this.#onPlace);
-    this.#asking?.abort();
-    this.#discard();
-  }
-
   #redraw = () => { this.#discard(); this.#draw(); };
 
   /** The window that the address names, so that it can be sent to somebody. */

@@ -30,12 +30,6 @@ class TrackMap extends HTMLElement {
     });
   }
 
-  disconnectedCallback() {
-    document.removeEventListener("scatola:parts", this.#update);
-    document.removeEventListener("scatola:cursor", this.#onCursor);
-    this.#map?.remove();
-  }
-
   /** @param {MapView} map */
   #dress(map) {
     map.addSource("track", { type: "geojson", data: this.#lines() });
