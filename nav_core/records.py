@@ -158,6 +158,28 @@ class Gnss:
         fix.flags.writeable = False
         object.__setattr__(self, "fix", fix)
 
+    def poorly_placed(self, max_hdop: float = 6.0, min_sats: float = 4.0) -> Flags:
+        """Fixes whose own dilution of precision or number of satellites speaks against them (000 §5.5).
+
+        Parameters
+        ----------
+        max_hdop : float
+            Largest dilution of use.
+        min_sats : float
+            Least number of satellites.
+
+        Returns
+        -------
+        ndarray of bool, shape (n,)
+            A fix without either is not judged.
+        """
+        poor = np.zeros(self.t.size, dtype=np.bool_)
+        if self.hdop is not None:
+            poor |= self.hdop > max_hdop
+        if self.sats is not None:
+            poor |= self.sats < min_sats
+        return poor
+
     def rows(self, which: Flags | slice) -> Gnss:
         """Some of the fixes."""
         known = {name: getattr(self, name) for name in Gnss.__dataclass_fields__ if getattr(self, name) is not None}
