@@ -25,6 +25,13 @@ const PACKAGES = [
     },
   },
   {
+    // The build for a script element, with fflate (MIT) in it, made a module; the package has no file of its licence.
+    name: "pmtiles",
+    licence: "BSD-3-Clause",
+    copy: {},
+    derive: () => ({ LICENSE: BSD_3("2021 Protomaps LLC"), "pmtiles.mjs": pmtilesModule() }),
+  },
+  {
     name: "uplot",
     licence: "MIT",
     copy: {
@@ -41,6 +48,11 @@ const PACKAGES = [
     derive: worldOutline,
   },
 ];
+
+function pmtilesModule() {
+  const script = readFileSync(join(MODULES, "pmtiles", "dist", "pmtiles.js"), "utf8").replace(/\n\/\/# sourceMappingURL.*/, "");
+  return `${script.trimEnd()}\nexport const { PMTiles, Protocol } = pmtiles;\n`;
+}
 
 /** Two decimals are about a kilometre, finer than the 1:50 000 000 source is drawn. */
 const round = (/** @type {number} */ degrees) => Math.round(degrees * 100) / 100;
@@ -113,6 +125,22 @@ function worldOutline() {
   };
 }
 
+/** The licence in the words of the Open Source Initiative. */
+function BSD_3(holder) {
+  return `Copyright ${holder}
+
+Redistribution and use in source and binary forms, with or without modification, are permitted provided that the following conditions are met:
+
+1. Redistributions of source code must retain the above copyright notice, this list of conditions and the following disclaimer.
+
+2. Redistributions in binary form must reproduce the above copyright notice, this list of conditions and the following disclaimer in the documentation and/or other materials provided with the distribution.
+
+3. Neither the name of the copyright holder nor the names of its contributors may be used to endorse or promote products derived from this software without specific prior written permission.
+
+THIS SOFTWARE IS PROVIDED BY THE COPYRIGHT HOLDERS AND CONTRIBUTORS "AS IS" AND ANY EXPRESS OR IMPLIED WARRANTIES, INCLUDING, BUT NOT LIMITED TO, THE IMPLIED WARRANTIES OF MERCHANTABILITY AND FITNESS FOR A PARTICULAR PURPOSE ARE DISCLAIMED. IN NO EVENT SHALL THE COPYRIGHT HOLDER OR CONTRIBUTORS BE LIABLE FOR ANY DIRECT, INDIRECT, INCIDENTAL, SPECIAL, EXEMPLARY, OR CONSEQUENTIAL DAMAGES (INCLUDING, BUT NOT LIMITED TO, PROCUREMENT OF SUBSTITUTE GOODS OR SERVICES; LOSS OF USE, DATA, OR PROFITS; OR BUSINESS INTERRUPTION) HOWEVER CAUSED AND ON ANY THEORY OF LIABILITY, WHETHER IN CONTRACT, STRICT LIABILITY, OR TORT (INCLUDING NEGLIGENCE OR OTHERWISE) ARISING IN ANY WAY OUT OF THE USE OF THIS SOFTWARE, EVEN IF ADVISED OF THE POSSIBILITY OF SUCH DAMAGE.
+`;
+}
+
 const sha256 = (path) => createHash("sha256").update(readFileSync(path)).digest("hex");
 
 function main() {
@@ -122,7 +150,7 @@ function main() {
     mkdirSync(target, { recursive: true });
     for (const [from, to] of Object.entries(copy)) cpSync(join(MODULES, name, from), join(target, to));
     for (const [file, content] of Object.entries(derive?.() ?? {})) {
-      writeFileSync(join(target, file), `${JSON.stringify(content)}\n`);
+      writeFileSync(join(target, file), typeof content === "string" ? content : `${JSON.stringify(content)}\n`);
     }
     const files = readdirSync(target).sort();
     const { version } = JSON.parse(readFileSync(join(MODULES, name, "package.json"), "utf8"));

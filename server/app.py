@@ -31,8 +31,8 @@ from server.limits import BodyLimit, TokenBuckets
 from server.live import routes as live
 from server.migrations import is_current
 from server.pages import accounts as account_pages
+from server.pages import fleet_routes, templating
 from server.pages import routes as pages
-from server.pages import templating
 from server.reports import routes as reports
 from server.resources import folder
 from server.settings import Settings
@@ -123,6 +123,7 @@ def create_app(settings: Settings, *, clock: Clock = utc_now) -> FastAPI:
         replay,
         proxy,
         pages,
+        fleet_routes,
         account_pages,
     ):
         app.include_router(part.router, responses=problems.described(401, 403, 404, 422))

@@ -22,7 +22,7 @@ def tile_source(url: str | None) -> str:
 
 def content_security_policy(settings: Settings) -> str:
     """The pages' policy: everything from here, plus the operator's tiles; MapLibre's workers may be blobs."""
-    tiles = tile_source(settings.map_tiles_url)
+    tiles = " ".join(filter(None, map(tile_source, (settings.map_tiles_url, settings.map_pmtiles))))
     sources = {
         "default-src": "'self'",
         "script-src": "'self'",

@@ -54,7 +54,7 @@ _SCHEMA: dict[str, object] = {
     "properties": {name: {"type": "string"} for name in ("type", "title", "detail", "code")}
     | {"status": {"type": "integer"}},
 }
-_DESCRIBED: tuple[type[ProblemError], ...] = (
+DESCRIBED: tuple[type[ProblemError], ...] = (
     UnauthenticatedError,
     ForbiddenError,
     NotFoundError,
@@ -68,7 +68,7 @@ _DESCRIBED: tuple[type[ProblemError], ...] = (
 
 def described(*statuses: int) -> dict[int | str, dict[str, Any]]:
     """Problems for a route's description in the list of the API."""
-    titles = {error.status: error.title for error in _DESCRIBED}
+    titles = {error.status: error.title for error in DESCRIBED}
     return {
         status: {"description": titles[status], "content": {MEDIA_TYPE: {"schema": _SCHEMA}}} for status in statuses
     }
@@ -89,7 +89,7 @@ def problem_response(error: ProblemError, connection: HTTPConnection) -> Respons
         headers["Retry-After"] = str(retry_after_s)
     render = getattr(connection.app.state, "render", None)
     if render is not None and not is_api(connection.url.path) and "text/html" in connection.headers.get("accept", ""):
-        page = cast("Response", render("error.html", _page(error, connection)))
+        page = cast("Response", render("error.html", _page(error, connection), connection=connection))
         page.status_code = error.status
         page.headers.update(headers)
         return page

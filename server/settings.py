@@ -33,6 +33,7 @@ class Settings(BaseSettings):
     viewer_url: str | None = None
     trusted_origins: Annotated[tuple[str, ...], NoDecode] = ()
     map_tiles_url: str | None = None
+    map_pmtiles: str | None = None
     admin_token: SecretStr | None = None
     signing_key_file: Path | None = None
     timestamp_url: str | None = None

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 from server.accounts.permissions import Permission
+from server.accounts.preferences import Preferences
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,6 +26,7 @@ class Caller:
     session_id: str | None = None
     csrf_token: str | None = None
     device_id: str | None = None
+    preferences: Preferences = field(default_factory=Preferences)
     signed_body_sha256: str | None = None
     """Of a signed request: the hash that its body, as sent, must have."""
 

@@ -18,6 +18,7 @@ from server.edge import DatabaseOf, Now, SettingsOf
 from server.errors import TooManyRequestsError, UnauthenticatedError
 from server.limits import TokenBuckets
 from server.settings import Settings
+from server.wording import marked
 
 router = APIRouter(tags=["signing in"])
 
@@ -50,7 +51,9 @@ def _open_by_password(
             opened = users.sign_in(session, found, totp, right=right, now=now, address=address_of(request))
     if opened is None:
         raise UnauthenticatedError(
-            "E-mail, password or authenticator code is not right, or there were too many attempts; wait a little",
+            marked(
+                "E-mail, password or authenticator code is not right, or there were too many attempts; wait a little"
+            ),
             code="sign_in_failed",
         )
     return opened
@@ -73,7 +76,7 @@ def login_page(request: Request, code: str = "", next: str = "/") -> Response:  
 
 def _form(request: Request, code: str, target: str, error: str | None, status: int = 200) -> Response:
     context = {"request": request, "code": code, "next": _local(target), "error": error}
-    return cast("Response", request.app.state.render("login.html", context, status_code=status))
+    return cast("Response", request.app.state.render("login.html", context, connection=request, status_code=status))
 
 
 @router.post("/login", include_in_schema=False)

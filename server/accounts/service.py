@@ -10,9 +10,11 @@ from sqlalchemy.orm import Session
 
 from server.accounts.caller import Caller
 from server.accounts.permissions import ALL, ROLE_PERMISSIONS, known
+from server.accounts.preferences import Preferences
 from server.accounts.secrets import hash_of, new_code, new_token
 from server.errors import UnauthenticatedError
 from server.models import ApiKey, Device, Organisation, SignInCode, User, WebSession
+from server.wording import marked
 
 SESSION_LIFE = dt.timedelta(hours=12)
 CODE_LIFE = dt.timedelta(hours=24)
@@ -72,10 +74,10 @@ def redeem(session: Session, code: str, *, now: dt.datetime) -> OpenedSession:
     # The row is locked, so that a code that is sent twice at once opens one session.
     row = session.get(SignInCode, hash_of(code), with_for_update=True)
     if row is None or row.used_at is not None or row.expires_at <= now:
-        raise UnauthenticatedError("The code is not valid, or was used already", code="sign_in_failed")
+        raise UnauthenticatedError(marked("The code is not valid, or was used already"), code="sign_in_failed")
     user = None if row.user_id is None else session.get_one(User, row.user_id)
     if user is not None and user.disabled_at is not None:
-        raise UnauthenticatedError("The code is not valid, or was used already", code="sign_in_failed")
+        raise UnauthenticatedError(marked("The code is not valid, or was used already"), code="sign_in_failed")
     row.used_at = now
     return open_session(session, row.organisation_id, now=now, user_id=row.user_id, by_code=True)
 
@@ -125,8 +127,16 @@ def session_of(session: Session, token: str, *, now: dt.datetime) -> tuple[WebSe
         user_id=None if user is None else user.id,
         session_id=row.id,
         csrf_token=row.csrf_token,
+        preferences=Preferences.from_json(row.preferences if user is None else user.preferences),
     )
     return row, caller
+
+
+def keep_preferences(session: Session, caller: Caller, preferences: Preferences) -> None:
+    """Remember what the caller wants to read pages in."""
+    row = session.get(User, caller.user_id) if caller.user_id else session.get(WebSession, caller.session_id)
+    if row is not None:
+        row.preferences = preferences.to_json()
 
 
 def _maybe(user: User | None) -> User | None:

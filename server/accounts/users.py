@@ -16,6 +16,7 @@ from server.accounts.secrets import KEY_PREFIX, hash_of, new_token
 from server.errors import ConflictError, InvalidError, NotFoundError, UnauthenticatedError
 from server.isolation import EVERYWHERE
 from server.models import ApiKey, Organisation, User, WebSession, new_id
+from server.wording import marked
 
 FREE_FAILURES = 5
 _FIRST_LOCK, _LONGEST_LOCK = dt.timedelta(minutes=1), dt.timedelta(hours=1)
@@ -143,7 +144,7 @@ def check_current(session: Session, caller: Caller, current: str) -> None:
     user = own(session, caller)
     row = session.get_one(WebSession, caller.session_id)
     if not row.by_code and not passwords.matches(user.password_hash, current):
-        raise UnauthenticatedError("The current password is not right", code="password_wrong")
+        raise UnauthenticatedError(marked("The current password is not right"), code="password_wrong")
 
 
 def set_password(session: Session, caller: Caller, password_hash: str, *, now: dt.datetime) -> None:
@@ -159,7 +160,7 @@ def begin_totp(session: Session, caller: Caller) -> tuple[str, str]:
     """A secret for the caller's authenticator and its address; it counts once a code of it was given."""
     user = own(session, caller, lock=True)
     if user.totp_confirmed:
-        raise ConflictError("An authenticator is set up; take it off first", code="totp_on")
+        raise ConflictError(marked("An authenticator is set up; take it off first"), code="totp_on")
     secret = user.totp_secret = passwords.new_totp_secret()
     return secret, passwords.totp_uri(secret, user.email)
 
@@ -168,10 +169,10 @@ def confirm_totp(session: Session, caller: Caller, code: str, *, now: dt.datetim
     """From now on signing in needs a code."""
     user = own(session, caller, lock=True)
     if user.totp_secret is None or user.totp_confirmed:
-        raise ConflictError("No authenticator is being set up", code="totp_not_begun")
+        raise ConflictError(marked("No authenticator is being set up"), code="totp_not_begun")
     step = passwords.totp_step(user.totp_secret, code, after=user.totp_step, now=now)
     if step is None:
-        raise InvalidError("The code is not right", code="totp_code")
+        raise InvalidError(marked("The code is not right"), code="totp_code")
     user.totp_confirmed, user.totp_step = True, step
     audit.record(session, caller, "totp.on", user.email, now=now)
 
@@ -180,9 +181,9 @@ def end_totp(session: Session, caller: Caller, code: str, *, now: dt.datetime) -
     """Take the authenticator off; that takes one of its codes."""
     user = own(session, caller, lock=True)
     if not user.totp_confirmed or user.totp_secret is None:
-        raise ConflictError("No authenticator is set up", code="totp_off")
+        raise ConflictError(marked("No authenticator is set up"), code="totp_off")
     if passwords.totp_step(user.totp_secret, code, after=user.totp_step, now=now) is None:
-        raise InvalidError("The code is not right", code="totp_code")
+        raise InvalidError(marked("The code is not right"), code="totp_code")
     user.totp_secret, user.totp_confirmed = None, False
     audit.record(session, caller, "totp.off", user.email, now=now)
 

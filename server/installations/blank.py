@@ -10,6 +10,8 @@ _REASONS = {
     "swapped": ("swapped", "The box is new in this vehicle: drive off."),
 }
 
+REASON_CODES = tuple(code for code, _ in _REASONS.values())
+
 
 def blank_result(beginning: str = "first") -> dict[str, Any]:
     """All keys of the mount JSON, `insufficient`, with nothing known of an installation that began so."""

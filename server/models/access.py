@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import datetime as dt
+from typing import Any
 
 from sqlalchemy import ForeignKey, String
 from sqlalchemy.orm import Mapped, mapped_column
@@ -36,6 +37,8 @@ class WebSession(Base):
     organisation_id: Mapped[str] = mapped_column(ForeignKey("organisation.id"))
     created_at: Mapped[dt.datetime]
     expires_at: Mapped[dt.datetime]
+    preferences: Mapped[dict[str, Any]] = mapped_column(default=dict)
+    """Of whoever has no account to keep them with."""
 
 
 class ViewTicket(Base):

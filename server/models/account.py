@@ -35,6 +35,8 @@ class User(Base):
     created_at: Mapped[dt.datetime]
     disabled_at: Mapped[dt.datetime | None]
     signed_in_at: Mapped[dt.datetime | None]
+    preferences: Mapped[dict[str, Any]] = mapped_column(default=dict)
+    """Language, units, saved views (`server.accounts.preferences`)."""
 
 
 class ApiKey(Base):

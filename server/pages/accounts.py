@@ -6,7 +6,7 @@ Forms post here; what they show once (a code, a key) is in the answer itself, ev
 from __future__ import annotations
 
 import datetime as dt
-from typing import Annotated, Any, TypeVar, cast
+from typing import Annotated, Any, Literal, TypeVar, cast
 
 from fastapi import APIRouter, Form, Query, Request
 from pydantic import BaseModel, ValidationError
@@ -15,33 +15,36 @@ from starlette.responses import HTMLResponse, RedirectResponse, Response
 from server.accounts import audit, passwords, users
 from server.accounts.access import AnyCaller, AuditReader, Caller, UserManager
 from server.accounts.permissions import Permission
+from server.accounts.preferences import LANGUAGES, Preferences, Units
 from server.accounts.schemas import ApiKeyIn, UserChange, UserIn
+from server.accounts.service import keep_preferences
 from server.database import Database
 from server.edge import DatabaseOf, Now
 from server.errors import ForbiddenError, InvalidError, ProblemError
 from server.models import User
 from server.pages import queries
 from server.pages.routes import answer
+from server.wording import marked
 
 router = APIRouter(include_in_schema=False, default_response_class=HTMLResponse)
 
 ENTRIES = 100
 ROLE_WORDS = {
-    "admin": "Administrator",
-    "manager": "Fleet manager",
-    "installer": "Installer",
-    "claims": "Claims handler",
-    "reader": "Read only",
+    "admin": marked("Administrator"),
+    "manager": marked("Fleet manager"),
+    "installer": marked("Installer"),
+    "claims": marked("Claims handler"),
+    "reader": marked("Read only"),
 }
 PERMISSION_WORDS: dict[Permission, str] = {
-    "fleet.read": "see vehicles, boxes and mountings",
-    "fleet.write": "add, change and configure vehicles and boxes",
-    "install": "install boxes and set mountings by hand",
-    "location.read": "see where vehicles are and were",
-    "raw.read": "see the samples themselves",
-    "events.review": "review events and hold them for a claim",
-    "users.manage": "add people and API keys",
-    "audit.read": "read the audit log",
+    "fleet.read": marked("see vehicles, boxes and mountings"),
+    "fleet.write": marked("add, change and configure vehicles and boxes"),
+    "install": marked("install boxes and set mountings by hand"),
+    "location.read": marked("see where vehicles are and were"),
+    "raw.read": marked("see the samples themselves"),
+    "events.review": marked("review events and hold them for a claim"),
+    "users.manage": marked("add people and API keys"),
+    "audit.read": marked("read the audit log"),
 }
 
 Text = Annotated[str, Form(max_length=500)]
@@ -74,11 +77,12 @@ def _page(request: Request, template: str, caller: Caller, database: Database, c
 def account_page(request: Request, caller: AnyCaller, database: DatabaseOf, said: str = "") -> HTMLResponse:
     """Password and authenticator."""
     words = {
-        "password": "The password is saved.",
-        "totp": "The authenticator is set up.",
-        "totp-off": "It is taken off.",
+        "saved": marked("Saved."),
+        "password": marked("The password is saved."),
+        "totp": marked("The authenticator is set up."),
+        "totp-off": marked("It is taken off."),
     }
-    return _account(request, caller, database, said=words.get(said))
+    return _account(request, caller, database, done=words.get(said))
 
 
 def _account(request: Request, caller: Caller, database: Database, **shown: Any) -> HTMLResponse:
@@ -88,12 +92,27 @@ def _account(request: Request, caller: Caller, database: Database, **shown: Any)
     if caller.user_id is not None:
         with database.reading() as session:
             user = users.own(session, caller)
-    context = {"user": user, "who": caller.name, "permission_words": PERMISSION_WORDS}
-    context |= {"error": None, "said": None, "totp_secret": None, "totp_uri": None} | shown
+    context: dict[str, Any] = {"user": user, "who": caller.name, "permission_words": PERMISSION_WORDS}
+    context |= {"languages": LANGUAGES, "preferences": caller.preferences}
+    context |= {"error": None, "done": None, "totp_secret": None, "totp_uri": None} | shown
     error = cast("ProblemError | None", shown.get("problem"))
     page = _page(request, "account.html", caller, database, context | {"error": error and error.detail})
     page.status_code = 200 if error is None else error.status
     return page
+
+
+@router.post("/account/preferences")
+def change_preferences(
+    caller: AnyCaller,
+    database: DatabaseOf,
+    language: Annotated[Literal["", "en", "it"], Form()] = "",
+    units: Annotated[Units, Form()] = "metric",
+) -> Response:
+    """Language and units; the language of the browser where none is chosen."""
+    kept = Preferences(language or None, units, caller.preferences.views)
+    with database.transaction() as session:
+        keep_preferences(session, caller, kept)
+    return _back("/account?said=saved")
 
 
 @router.post("/account/password")
@@ -177,9 +196,10 @@ def _users(
 
 def _code_shown(request: Request, code: str, email: str) -> dict[str, str]:
     return {
-        "title": f"Sign-in link for {email}",
+        "title": marked("Sign-in link for %(name)s"),
+        "name": email,
         "value": str(request.url_for("login_page").include_query_params(code=code, next="/account")),
-        "hint": "Good once, within a day. It leads to the page where a password is chosen.",
+        "hint": marked("Good once, within a day. It leads to the page where a password is chosen."),
     }
 
 
@@ -263,7 +283,8 @@ def add_key(
             key, token = users.add_key(session, caller, wanted, now=now)
     except ProblemError as error:
         return _users(request, caller, database, problem=error)
-    secret = {"title": f"API key for {key.name}", "value": token, "hint": "Send it as a bearer token."}
+    secret = {"title": marked("API key for %(name)s"), "name": key.name, "value": token}
+    secret["hint"] = marked("Send it as a bearer token.")
     return _users(request, caller, database, secret=secret)
 
 

@@ -13,23 +13,23 @@ from sqlalchemy.orm import Session
 from server.events import queries
 from server.events.exports import utc_t0
 from server.models import Device, Event, EventAction, EventRevision, Vehicle
-from server.pages.words import State
+from server.pages.words import KINDS, State
 from server.reports.figures import Row, basis_rows, number_rows, risk_rows, sentences
-from server.reports.words import Words
+from server.reports.words import Language, Words
+from server.wording import marked
 
-ENGLISH = Words("en")
 SHOWN = 200
 NEWS_FOR = dt.timedelta(days=14)
 """How long a crash that nobody has looked at stays in the list of what needs attention."""
 
 SEVERITIES: dict[str, State] = {"crash": "alarm", "rollover": "alarm", "parked_impact": "attention"}
-REVIEWS = {"confirmed": "Confirmed", "false_alarm": "False alarm", None: "Open"}
+REVIEWS = {"confirmed": marked("Confirmed"), "false_alarm": marked("False alarm"), None: marked("Open")}
 ACTIONS = {
-    "confirmed": "Confirmed",
-    "false_alarm": "Called a false alarm",
-    "reopened": "Opened again",
-    "held": "Put under legal hold",
-    "released": "Legal hold ended",
+    "confirmed": marked("Confirmed"),
+    "false_alarm": marked("Called a false alarm"),
+    "reopened": marked("Opened again"),
+    "held": marked("Put under legal hold"),
+    "released": marked("Legal hold ended"),
 }
 
 
@@ -56,7 +56,7 @@ class Line:
 
     @property
     def kind(self) -> str:
-        return ENGLISH(self.event.kind)
+        return KINDS[self.event.kind]
 
     @property
     def review(self) -> str:
@@ -72,6 +72,8 @@ class EventPage:
     document: Mapping[str, Any]
     revisions: Sequence[EventRevision]
     actions: Sequence[EventAction]
+    words: Words
+    """Of the report, in the reader's language."""
 
     @property
     def event(self) -> Event:
@@ -88,25 +90,25 @@ class EventPage:
 
     @property
     def sentences(self) -> list[str]:
-        return sentences(dict(self.document), ENGLISH, self.at)
+        return sentences(dict(self.document), self.words, self.at)
 
     @property
     def numbers(self) -> list[Row]:
-        return number_rows(dict(self.told), ENGLISH)
+        return number_rows(dict(self.told), self.words)
 
     @property
     def risks(self) -> list[tuple[str, str, str, str, str]]:
-        return risk_rows(dict(self.told), ENGLISH)
+        return risk_rows(dict(self.told), self.words)
 
     @property
     def basis(self) -> list[tuple[str, str]]:
-        return basis_rows(dict(self.document), ENGLISH)
+        return basis_rows(dict(self.document), self.words)
 
     @property
     def from_where(self) -> str | None:
         """Direction in words; None where it is not known."""
         clock = self.told["pdof_clock"]
-        return None if clock is None else ENGLISH(f"where{clock}")
+        return None if clock is None else self.words(f"where{clock}")
 
     @property
     def sketch(self) -> dict[str, float | str] | None:
@@ -152,7 +154,7 @@ def unreviewed(session: Session, organisation_id: str, *, now: dt.datetime) -> l
     return [line for line in found if line.event.verdict is None]
 
 
-def event_page(session: Session, organisation_id: str, event_id: str) -> EventPage:
+def event_page(session: Session, organisation_id: str, event_id: str, language: Language = "en") -> EventPage:
     """One event."""
     event = queries.event_of(session, organisation_id, event_id)
     revision = queries.revision_of(session, event)
@@ -166,4 +168,5 @@ def event_page(session: Session, organisation_id: str, event_id: str) -> EventPa
         queries.document(revision),
         queries.revisions(session, event.id),
         queries.actions(session, event.id),
+        Words(language),
     )

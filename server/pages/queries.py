@@ -3,26 +3,28 @@
 from __future__ import annotations
 
 import datetime as dt
-from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-from sqlalchemy import and_, case, func, select
+from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
 from server.errors import NotFoundError
 from server.installations.blank import blank_result
+from server.installations.queries import revisions
 from server.models import Change, Device, DeviceState, Installation, Trip, Vehicle
-from server.pages.events import Line, lines, unreviewed
+from server.pages.events import Line, lines
+from server.pages.health import Course, Figure, course_of, figures, remark_sentences
 from server.pages.words import (
     LIVE_WITHIN,
     MOVED_IS_NEWS_FOR,
     SILENT_AFTER,
     Standing,
     angle_to_reference,
+    reasons,
     standing,
 )
-from server.trips.queries import trips
+from server.trips.queries import trip_of, trips
 
 TRIPS_SHOWN = 50
 EVENTS_SHOWN = 50
@@ -38,8 +40,6 @@ class Box:
     state: DeviceState | None
     installation: Installation | None
     standing: Standing
-    distance_m: float
-    """Over all trips of the vehicle, or of the box where it sits in none."""
     speed_mps: float | None
     """At a fix so young that it tells of now."""
     reporting: bool
@@ -60,37 +60,9 @@ class Box:
         return "unknown" if self.silent else self.standing.state
 
     @property
-    def reasons(self) -> Sequence[str]:
-        """What is still missing, as sentences for the driver."""
-        return (self.installation.result if self.installation else blank_result())["reasons"]
-
-
-@dataclass(frozen=True)
-class Fleet:
-    boxes: list[Box]
-    empty_vehicles: list[Vehicle]
-    """Vehicles without a box."""
-    crashes: list[Line]
-    """Severe events that nobody has looked at."""
-
-    @property
-    def reporting(self) -> int:
-        return sum(box.reporting for box in self.boxes)
-
-    @property
-    def attention(self) -> Sequence[tuple[str, str, str, Sequence[Box | Line]]]:
-        """Tiles: state for colour and shape, heading, what it means, whom it concerns."""
-        loose = [box for box in self.boxes if box.standing.state == "alarm"]
-        moved = [box for box in self.boxes if box.moved_lately]
-        silent = [box for box in self.boxes if box.silent]
-        waiting = [box for box in self.boxes if not box.standing.calibrated and box.standing.state != "alarm"]
-        return [
-            ("alarm", "Crash", "not yet looked at", self.crashes),
-            ("alarm", "Not fixed", "the box swings or lies loose", loose),
-            ("attention", "Moved", "the box was turned in its vehicle", moved),
-            ("unknown", "Silent", "no word for a day, or never", silent),
-            ("attention", "Not calibrated", "still learning how the box sits", waiting),
-        ]
+    def reasons(self) -> list[tuple[str, str]]:
+        """What is still missing, as sentences for the driver, each with its name in the catalogues."""
+        return reasons(self.installation.result if self.installation else blank_result())
 
 
 @dataclass(frozen=True)
@@ -102,6 +74,9 @@ class History:
     trips: list[Trip]
     events: list[Line]
     """Newest first; manoeuvres too."""
+    distance_m: float
+    moving_s: float
+    """Over the trips that are listed."""
     reference_angle_deg: float | None
     """Between the estimate and the latest mounting known from elsewhere."""
 
@@ -115,6 +90,11 @@ class VehiclePage:
     history: History
     box_count: int
     """Boxes in the vehicle; the page shows the one heard last."""
+    trip: Trip | None
+    """The one that map and charts show: the last, or the one that the address names."""
+    health: Sequence[Figure]
+    remarks: Sequence[str]
+    course: Course | None
 
 
 def last_change(session: Session, organisation_id: str) -> int:
@@ -122,31 +102,46 @@ def last_change(session: Session, organisation_id: str) -> int:
     return session.scalar(select(func.max(Change.id)).where(Change.organisation_id == organisation_id)) or 0
 
 
-def fleet(session: Session, organisation_id: str, *, now: dt.datetime) -> Fleet:
-    """All boxes and vehicles of an organisation, by name."""
-    boxes = _boxes(session, organisation_id, now=now)
-    carried = {box.vehicle.id for box in boxes if box.vehicle}
-    vehicles = session.scalars(select(Vehicle).where(Vehicle.organisation_id == organisation_id).order_by(Vehicle.name))
-    crashes = unreviewed(session, organisation_id, now=now)
-    return Fleet(boxes, [vehicle for vehicle in vehicles if vehicle.id not in carried], crashes)
-
-
-def vehicle_page(session: Session, organisation_id: str, vehicle_id: str, *, now: dt.datetime) -> VehiclePage:
+def vehicle_page(
+    session: Session, organisation_id: str, vehicle_id: str, *, now: dt.datetime, trip_id: str | None = None
+) -> VehiclePage:
     """A vehicle and the box in it that was heard last."""
     vehicle = session.get(Vehicle, vehicle_id)
     if vehicle is None or vehicle.organisation_id != organisation_id:
         raise NotFoundError(f"There is no vehicle {vehicle_id}")
     boxes = _boxes(session, organisation_id, now=now, vehicle_id=vehicle_id)
     box = max(boxes, key=lambda box: box.device.last_seen_at or box.device.created_at, default=None)
-    return VehiclePage(vehicle, box, _history(session, organisation_id, vehicle, box), len(boxes))
+    return _page(session, organisation_id, vehicle, box, len(boxes), trip_id, subject=vehicle)
 
 
-def device_page(session: Session, organisation_id: str, device_id: str, *, now: dt.datetime) -> VehiclePage:
+def device_page(
+    session: Session, organisation_id: str, device_id: str, *, now: dt.datetime, trip_id: str | None = None
+) -> VehiclePage:
     """A box, whatever it sits in."""
     boxes = _boxes(session, organisation_id, now=now, device_id=device_id)
     if not boxes:
         raise NotFoundError(f"There is no box {device_id}")
-    return VehiclePage(boxes[0].vehicle, boxes[0], _history(session, organisation_id, None, boxes[0]), 1)
+    return _page(session, organisation_id, boxes[0].vehicle, boxes[0], 1, trip_id, subject=None)
+
+
+def _page(
+    session: Session,
+    organisation_id: str,
+    vehicle: Vehicle | None,
+    box: Box | None,
+    box_count: int,
+    trip_id: str | None,
+    *,
+    subject: Vehicle | None,
+) -> VehiclePage:
+    history = _history(session, organisation_id, subject, box)
+    trip = trip_of(session, organisation_id, trip_id) if trip_id else next(iter(history.trips), None)
+    state = box.state if box is not None else None
+    course = None
+    if box is not None and box.installation is not None:
+        course = course_of(revisions(session, [box.installation.id])[box.installation.id])
+    health = {} if state is None else state.health
+    return VehiclePage(vehicle, box, history, box_count, trip, figures(health), remark_sentences(health), course)
 
 
 def _history(session: Session, organisation_id: str, vehicle: Vehicle | None, box: Box | None) -> History:
@@ -173,7 +168,8 @@ def _history(session: Session, organisation_id: str, vehicle: Vehicle | None, bo
         vehicle_id=None if vehicle is None else vehicle.id,
         limit=EVENTS_SHOWN,
     )
-    return History(list(installations), list(driven), happened, angle)
+    metres, seconds = sum(trip.distance_m for trip in driven), sum(trip.moving_s for trip in driven)
+    return History(list(installations), list(driven), happened, metres, seconds, angle)
 
 
 def _boxes(
@@ -185,7 +181,6 @@ def _boxes(
     device_id: str | None = None,
 ) -> list[Box]:
     """Boxes in use, with vehicle, state and open installation; revoked ones only when asked for by id."""
-    distances = _distances(session, organisation_id)
     statement = (
         select(Device, Vehicle, DeviceState, Installation)
         .outerjoin(Vehicle, Vehicle.id == Device.vehicle_id)
@@ -198,48 +193,10 @@ def _boxes(
         statement = statement.where(Device.vehicle_id == vehicle_id)
     statement = statement.where(Device.id == device_id) if device_id else statement.where(Device.revoked_at.is_(None))
     boxes = {
-        device.id: _box(device, vehicle, state, installation, distances.of(device), now=now)
+        device.id: _box(device, vehicle, state, installation, now=now)
         for device, vehicle, state, installation in session.execute(statement)
     }
     return list(boxes.values())
-
-
-@dataclass(frozen=True)
-class _Distances:
-    """Metres driven, so that they can be told for a vehicle whichever boxes it carried."""
-
-    boxes: Mapping[str, float]
-    """Of a box, wherever it sat."""
-    together: Mapping[tuple[str, str], float]
-    """Of a box in the vehicle that it still sits in."""
-    former: Mapping[str, float]
-    """Of a vehicle with boxes that left it."""
-
-    def of(self, device: Device) -> float:
-        """What its row shows.  Another box in the same vehicle measured the same way: it counts in its own row."""
-        if device.vehicle_id is None or device.revoked_at is not None:
-            return self.boxes.get(device.id, 0.0)
-        return self.together.get((device.id, device.vehicle_id), 0.0) + self.former.get(device.vehicle_id, 0.0)
-
-
-def _distances(session: Session, organisation_id: str) -> _Distances:
-    sits_there = and_(Device.vehicle_id == Trip.vehicle_id, Device.revoked_at.is_(None))
-    driven = session.execute(
-        select(Trip.device_id, Trip.vehicle_id, func.sum(Trip.distance_m), func.max(case((sits_there, 1), else_=0)))
-        .join(Device, Device.id == Trip.device_id)
-        .where(Trip.organisation_id == organisation_id)
-        .group_by(Trip.device_id, Trip.vehicle_id)
-    )
-    boxes: defaultdict[str, float] = defaultdict(float)
-    former: defaultdict[str, float] = defaultdict(float)
-    together: dict[tuple[str, str], float] = {}
-    for device_id, vehicle_id, metres, still_there in driven:
-        boxes[device_id] += metres
-        if vehicle_id is not None and still_there:
-            together[device_id, vehicle_id] = metres
-        elif vehicle_id is not None:
-            former[vehicle_id] += metres
-    return _Distances(boxes, together, former)
 
 
 def _box(
@@ -247,7 +204,6 @@ def _box(
     vehicle: Vehicle | None,
     state: DeviceState | None,
     installation: Installation | None,
-    distance_m: float,
     *,
     now: dt.datetime,
 ) -> Box:
@@ -269,7 +225,6 @@ def _box(
         state=state,
         installation=installation,
         standing=how,
-        distance_m=distance_m,
         speed_mps=state.speed_mps if state is not None and is_live else None,
         reporting=reporting,
         silent=quiet_for is None or quiet_for > SILENT_AFTER,

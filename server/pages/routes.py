@@ -2,64 +2,114 @@
 
 from __future__ import annotations
 
+import math
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from fastapi import APIRouter, Form, Request
-from starlette.responses import HTMLResponse, RedirectResponse, Response
+from fastapi import APIRouter, Form, Query, Request
+from starlette.responses import FileResponse, HTMLResponse, RedirectResponse, Response
 
-from server.accounts.access import Caller, Reader, Reviewer, look_at_places
+from server.accounts.access import Caller, Installer, Reader, Reviewer, look_at_places
 from server.edge import DatabaseOf, Now, SettingsOf
+from server.errors import InvalidError, NotFoundError
 from server.events import service as events
+from server.installations import service as installations
+from server.installations.schemas import ManualMounting
 from server.pages import events as event_queries
-from server.pages import queries
+from server.pages import frame, queries
 from server.pages.templating import renderer
-from server.pages.words import BEGINNINGS, STATUSES
+from server.pages.words import BEGINNINGS, CLASSES, STATUSES
+from server.settings import Settings
+from server.wording import marked
 
 router = APIRouter(include_in_schema=False, default_response_class=HTMLResponse)
 
-
-@router.get("/")
-def fleet(request: Request, caller: Reader, settings: SettingsOf, database: DatabaseOf, now: Now) -> HTMLResponse:
-    """Map, what needs attention, and every box."""
-    look_at_places(request, caller)
-    with database.reading() as session:
-        change = queries.last_change(session, caller.organisation_id)
-        found = queries.fleet(session, caller.organisation_id, now=now)
-    context = {"fleet": found, "map_tiles_url": settings.map_tiles_url or ""}
-    return answer(request, "fleet.html", caller, "fleet", change, context)
-
-
-@router.get("/vehicles")
-def vehicles(request: Request, caller: Reader, database: DatabaseOf, now: Now) -> HTMLResponse:
-    """Every vehicle, also those without a box."""
-    with database.reading() as session:
-        change = queries.last_change(session, caller.organisation_id)
-        found = queries.fleet(session, caller.organisation_id, now=now)
-    return answer(request, "vehicles.html", caller, "vehicles", change, {"fleet": found})
+NOT_A_MOUNTING = marked("Give three angles, how well they were measured, and a reason.")
+TripId = Annotated[str | None, Query(max_length=32)]
 
 
 @router.get("/vehicles/{vehicle_id}")
 def vehicle(
-    request: Request, vehicle_id: str, caller: Reader, settings: SettingsOf, database: DatabaseOf, now: Now
+    request: Request,
+    vehicle_id: str,
+    caller: Reader,
+    settings: SettingsOf,
+    database: DatabaseOf,
+    now: Now,
+    trip: TripId = None,
 ) -> HTMLResponse:
     """A vehicle and the box in it."""
     look_at_places(request, caller)
     with database.reading() as session:
         change = queries.last_change(session, caller.organisation_id)
-        page = queries.vehicle_page(session, caller.organisation_id, vehicle_id, now=now)
-    return answer(request, "vehicle.html", caller, "vehicles", change, _vehicle_context(page, settings.map_tiles_url))
+        page = queries.vehicle_page(session, caller.organisation_id, vehicle_id, now=now, trip_id=trip)
+    return answer(request, "vehicle.html", caller, "vehicles", change, _vehicle_context(page, settings))
 
 
 @router.get("/devices/{device_id}")
 def device(
-    request: Request, device_id: str, caller: Reader, settings: SettingsOf, database: DatabaseOf, now: Now
+    request: Request,
+    device_id: str,
+    caller: Reader,
+    settings: SettingsOf,
+    database: DatabaseOf,
+    now: Now,
+    trip: TripId = None,
 ) -> HTMLResponse:
     """A box by itself, in a vehicle or not."""
     look_at_places(request, caller)
     with database.reading() as session:
         change = queries.last_change(session, caller.organisation_id)
-        page = queries.device_page(session, caller.organisation_id, device_id, now=now)
-    return answer(request, "vehicle.html", caller, "vehicles", change, _vehicle_context(page, settings.map_tiles_url))
+        page = queries.device_page(session, caller.organisation_id, device_id, now=now, trip_id=trip)
+    return answer(request, "vehicle.html", caller, "vehicles", change, _vehicle_context(page, settings))
+
+
+@router.post("/devices/{device_id}/installation")
+def set_mounting(
+    request: Request,
+    device_id: str,
+    caller: Installer,
+    settings: SettingsOf,
+    database: DatabaseOf,
+    now: Now,
+    theta: Annotated[str, Form(max_length=20)] = "",
+    phi: Annotated[str, Form(max_length=20)] = "",
+    psi: Annotated[str, Form(max_length=20)] = "",
+    sigma: Annotated[str, Form(max_length=20)] = "1",
+    reason: Annotated[str, Form(max_length=1000)] = "",
+    back: Annotated[str, Form(pattern=r"^/(vehicles|devices)/[0-9a-z]{1,32}$")] = "/",
+) -> Response:
+    """The page's form for a mounting that somebody measured."""
+    typed = {"theta": theta, "phi": phi, "psi": psi, "sigma": sigma, "reason": reason}
+    try:
+        angles = {name: typed[name] for name in ("theta", "phi", "psi")}
+        wanted = ManualMounting.model_validate(
+            {"euler_deg": angles, "sigma_deg": dict.fromkeys("xyz", sigma), "reason": reason}
+        )
+        numbers = [float(value) for value in (theta, phi, psi, sigma)]
+        if not all(map(math.isfinite, numbers)) or not 0.0 < numbers[3] <= 90.0:
+            raise InvalidError(NOT_A_MOUNTING)  # noqa: TRY301  the same answer as for what is no number
+        with database.transaction() as session:
+            installations.set_manual(
+                session,
+                caller.organisation_id,
+                device_id,
+                wanted.matrix(),
+                reason=wanted.reason,
+                sigma_deg=wanted.sigma_deg.model_dump() if wanted.sigma_deg else None,
+                since=now,
+                now=now,
+            )
+    except (ValueError, InvalidError) as error:
+        detail = error.detail if isinstance(error, InvalidError) else NOT_A_MOUNTING
+        with database.reading() as session:
+            change = queries.last_change(session, caller.organisation_id)
+            page = queries.device_page(session, caller.organisation_id, device_id, now=now)
+        context = _vehicle_context(page, settings) | {"problem": detail, "typed": typed}
+        shown = answer(request, "vehicle.html", caller, "vehicles", change, context)
+        shown.status_code = 422
+        return shown
+    return RedirectResponse(f"{back}#mounting", 303)
 
 
 @router.get("/events")
@@ -83,8 +133,8 @@ def event(request: Request, event_id: str, caller: Reader, settings: SettingsOf,
     look_at_places(request, caller)
     with database.reading() as session:
         change = queries.last_change(session, caller.organisation_id)
-        page = event_queries.event_page(session, caller.organisation_id, event_id)
-    context = {"page": page, "map_tiles_url": settings.map_tiles_url or "", "actions": event_queries.ACTIONS}
+        page = event_queries.event_page(session, caller.organisation_id, event_id, frame.language_of(request))
+    context = {"page": page, "actions": event_queries.ACTIONS, **map_settings(settings)}
     return answer(request, "event.html", caller, "events", change, context)
 
 
@@ -119,19 +169,43 @@ def hold(
     return RedirectResponse(f"/events/{event_id}", 303)
 
 
-def _vehicle_context(page: queries.VehiclePage, map_tiles_url: str | None) -> dict[str, Any]:
-    return {"page": page, "map_tiles_url": map_tiles_url or "", "beginnings": BEGINNINGS, "statuses": STATUSES}
+def _vehicle_context(page: queries.VehiclePage, settings: Settings) -> dict[str, Any]:
+    words = {"beginnings": BEGINNINGS, "statuses": STATUSES, "classes": CLASSES}
+    return {"page": page, "problem": None, "typed": {}, **words, **map_settings(settings)}
+
+
+def map_settings(settings: Settings) -> dict[str, str]:
+    """What a map of a page needs to know: the operator's tiles, a template or a PMTiles archive."""
+    return {"map_tiles_url": settings.map_tiles_url or "", "map_pmtiles": _pmtiles_url(settings)}
+
+
+def _pmtiles_url(settings: Settings) -> str:
+    """Another host's archive is asked there, a file here."""
+    archive = settings.map_pmtiles or ""
+    return "/map/basemap.pmtiles" if archive and not archive.startswith(("http:", "https:")) else archive
+
+
+@router.get("/map/basemap.pmtiles")
+def basemap(caller: Reader, settings: SettingsOf) -> Response:
+    """The operator's map, a part of the file at a time (Range)."""
+    del caller
+    if not _pmtiles_url(settings).startswith("/") or not Path(settings.map_pmtiles or "").is_file():
+        raise NotFoundError("No map file is set")
+    headers = {"Cache-Control": "private, max-age=86400"}
+    return FileResponse(settings.map_pmtiles or "", media_type="application/octet-stream", headers=headers)
 
 
 def answer(
     request: Request, template: str, caller: Caller, section: str, last_change: int, context: dict[str, Any]
 ) -> HTMLResponse:
     """A page in the frame that all share."""
-    frame = {
+    shared = {
         "section": section,
+        "sections": frame.sections(caller),
+        "on_phone": frame.ON_PHONE,
         "csrf_token": caller.csrf_token or "",
         "signed_in": caller.kind == "session",
         "last_change": last_change,
         "may": caller.permissions,
     }
-    return renderer(request.app)(template, {**frame, **context})
+    return renderer(request.app)(template, {**shared, **context}, connection=request)

@@ -1,39 +1,76 @@
-"""Jinja2 for the pages: one environment per app, escaping on, and the formats every page uses."""
+"""Jinja2 for the pages: an environment for each language, escaping on, and the formats every page uses."""
 
 from __future__ import annotations
 
 import datetime as dt
+from functools import partial
 from typing import Any, Literal, Protocol, cast
 
+import orjson
 from fastapi import FastAPI
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
+from starlette.requests import HTTPConnection
 from starlette.responses import HTMLResponse
 
+from server.accounts.preferences import LANGUAGES, Language
+from server.pages.frame import MEASURES, language_of, preferences_of
+from server.pages.language import catalogue, script_words
 from server.resources import folder
 
 
 class Render(Protocol):
-    """``app.state.render``: an HTML response from a template and its context."""
+    """``app.state.render``: an HTML response from a template and its context, in the language of who asks."""
 
-    def __call__(self, name: str, context: dict[str, Any], *, status_code: int = 200) -> HTMLResponse: ...
+    def __call__(
+        self, name: str, context: dict[str, Any], *, connection: HTTPConnection, status_code: int = 200
+    ) -> HTMLResponse: ...
 
 
 def install(app: FastAPI) -> None:
     """Give the app its `render`."""
-    environment = Environment(
+    environments = {language: environment(language) for language in LANGUAGES}
+
+    def render(
+        name: str, context: dict[str, Any], *, connection: HTTPConnection, status_code: int = 200
+    ) -> HTMLResponse:
+        language = language_of(connection)
+        units = preferences_of(connection).units
+        shared = {"language": language, "measures": MEASURES[units], "units_name": units}
+        page = environments[language].get_template(name).render({**shared, **context})
+        headers = {"Content-Language": language, "Vary": "Accept-Language, Cookie"}
+        return HTMLResponse(page, status_code, headers)
+
+    app.state.render = render
+
+
+def environment(language: Language) -> Environment:
+    """Templates as one language shows them."""
+    made = Environment(
         loader=FileSystemLoader(folder("web") / "templates"),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
+        extensions=["jinja2.ext.i18n"],
     )
-    environment.filters.update(moment=moment, number=number, duration=duration)
+    words = script_words(language)
+    shared: dict[str, Any] = {
+        "said": catalogue(language).gettext,  # texts of variables; a call of _ would format them
+        "reason": partial(_reason, language),
+        "script_words": orjson.dumps(words).decode() if words else "",
+    }
+    cast("dict[str, Any]", made.globals).update(shared)
+    made.filters.update(moment=moment, number=partial(number, language=language), duration=duration)
+    # The extension adds it to the environment at run time.
+    cast("Any", made).install_gettext_translations(catalogue(language), newstyle=True)
+    return made
 
-    def render(name: str, context: dict[str, Any], *, status_code: int = 200) -> HTMLResponse:
-        return HTMLResponse(environment.get_template(name).render(context), status_code=status_code)
 
-    app.state.render = render
+def _reason(language: Language, key: str, sentence: str) -> str:
+    """A sentence of an estimate, which the catalogues have under the name of its reason."""
+    found = catalogue(language).gettext(key)
+    return sentence if found == key else found
 
 
 def renderer(app: FastAPI) -> Render:
@@ -43,17 +80,19 @@ def renderer(app: FastAPI) -> Render:
 
 def moment(at: dt.datetime, style: Literal["full", "short", "ago"] = "full") -> Markup:
     """A time element in UTC; the page shows it in the reader's zone (web/static/js/time.js)."""
-    iso = at.astimezone(dt.UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
-    words = at.astimezone(dt.UTC).strftime("%d %b %Y, %H:%M:%S UTC")
+    utc = at.astimezone(dt.UTC)
+    iso = utc.isoformat(timespec="milliseconds").replace("+00:00", "Z")
+    words = f"{utc:%Y-%m-%d %H:%M} UTC"
     return Markup('<time datetime="{}" data-style="{}">{}</time>').format(iso, style, words)
 
 
-def number(value: float, digits: int = 0, *, sign: bool = False) -> str:
-    """Fixed decimals, a real minus sign, thin spaces between thousands, and never "-0"."""
+def number(value: float, digits: int = 0, *, sign: bool = False, language: Language = "en") -> str:
+    """Fixed decimals as the language writes them, a real minus sign, thin spaces between thousands, never "-0"."""
     text = f"{value:{'+' if sign else ''},.{digits}f}"
     if not any(c in "123456789" for c in text):
         text = text.lstrip("+-")
-    return text.replace(",", "\N{NARROW NO-BREAK SPACE}").replace("-", "\N{MINUS SIGN}")
+    text = text.replace(",", "\N{NARROW NO-BREAK SPACE}").replace("-", "\N{MINUS SIGN}")
+    return text.replace(".", ",") if language == "it" else text
 
 
 def duration(seconds: float) -> str:

@@ -8,6 +8,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
+from server.wording import marked
+
 State = Literal["good", "attention", "alarm", "unknown"]
 
 SILENT_AFTER = dt.timedelta(hours=24)
@@ -40,12 +42,12 @@ def standing(status: str | None, result: Mapping[str, Any], *, progress: float, 
     percent = 100 if status == "ready" else math.floor(100 * min(max(progress, 0.0), 1.0))
     sigma = largest_sigma(result)
     words: dict[str | None, tuple[State, str]] = {
-        "ready": ("good", "Ready"),
-        "settling": ("attention", "Moved, calibrating again" if moved else "Calibrating"),
-        "not_fixed": ("alarm", "Box is not fixed"),
+        "ready": ("good", marked("Ready")),
+        "settling": ("attention", marked("Moved, calibrating again") if moved else marked("Calibrating")),
+        "not_fixed": ("alarm", marked("Box is not fixed")),
     }
     waiting: tuple[State, str] = (
-        ("attention", "Moved, not calibrated yet") if moved else ("unknown", "Not calibrated yet")
+        ("attention", marked("Moved, not calibrated yet")) if moved else ("unknown", marked("Not calibrated yet"))
     )
     state, headline = words.get(status, waiting)
     return Standing(state, headline, percent, sigma, moved, calibrated=status == "ready")
@@ -68,14 +70,39 @@ def angle_to_reference(result: Mapping[str, Any], references: Sequence[Mapping[s
 
 
 BEGINNINGS = {
-    "first": "First installation",
-    "moved": "Box was moved",
-    "swapped": "Box came to this vehicle",
-    "manual": "Set by hand",
+    "first": marked("First installation"),
+    "moved": marked("Box was moved"),
+    "swapped": marked("Box came to this vehicle"),
+    "manual": marked("Set by hand"),
 }
 STATUSES = {
-    "ready": "Ready",
-    "settling": "Calibrating",
-    "insufficient": "Not calibrated yet",
-    "not_fixed": "Box is not fixed",
+    "ready": marked("Ready"),
+    "settling": marked("Calibrating"),
+    "insufficient": marked("Not calibrated yet"),
+    "not_fixed": marked("Box is not fixed"),
 }
+
+KINDS = {
+    "crash": marked("Crash"),
+    "rollover": marked("Rollover"),
+    "parked_impact": marked("Impact while parked"),
+    "harsh_braking": marked("Harsh braking"),
+    "harsh_acceleration": marked("Harsh acceleration"),
+    "harsh_cornering": marked("Harsh cornering"),
+    "road_shock": marked("Road shock"),
+    "handling": marked("Handling of the box"),
+}
+CLASSES = {
+    "car": marked("car"),
+    "van": marked("van"),
+    "truck": marked("truck"),
+    "bus": marked("bus"),
+    "motorcycle": marked("motorcycle"),
+}
+
+
+def reasons(result: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """What is still missing or worth knowing: a name under which a catalogue may have it, and the English sentence."""
+    texts: Sequence[str] = result.get("reasons", ())
+    codes: Sequence[str] = result.get("reason_codes", ())
+    return [(f"reason:{codes[k]}" if k < len(codes) else text, text) for k, text in enumerate(texts)]

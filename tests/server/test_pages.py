@@ -10,7 +10,8 @@ import pytest
 import sqlalchemy as sa
 
 from server.models import Device, DeviceState, Installation, Organisation, Trip, Vehicle
-from server.pages import queries
+from server.pages.fleet import Wanted, whole
+from server.pages.fleet import fleet as fleet_list
 from server.pages.templating import duration, moment, number
 from server.pages.words import angle_to_reference, largest_sigma, standing
 
@@ -116,8 +117,8 @@ def test_pages_are_escaped_and_have_no_inline_code(fleet, admin, database):
 def test_silence_and_moves_need_attention(fleet, database, clock):
     def attention() -> dict[str, int]:
         with database.reading() as session:
-            found = queries.fleet(session, fleet.id, now=clock())
-        return {heading: len(boxes) for _, heading, _, boxes in found.attention}
+            found = fleet_list(session, fleet.id, Wanted(), now=clock())
+        return {tile.heading: len(tile.rows) for tile in found.tiles}
 
     assert attention() == {"Crash": 0, "Not fixed": 0, "Moved": 0, "Silent": 0, "Not calibrated": 0}
     clock.advance(hours=25)
@@ -140,8 +141,9 @@ def test_a_speed_is_shown_only_while_it_is_one_of_now(fleet, admin, database, cl
         fix_at = clock() - dt.timedelta(seconds=fix_age_s)
         session.add(DeviceState(device_id=device.id, updated_at=clock(), position_at=fix_at, speed_mps=20.0))
     with database.reading() as session:
-        box = next(box for box in queries.fleet(session, fleet.id, now=clock()).boxes if box.device.name == "SC-1")
-    assert box.speed_mps == (20.0 if shown else None)
+        rows = fleet_list(session, fleet.id, Wanted(), now=clock()).rows
+        row = next(row for row in rows if row.device_name == "SC-1")
+    assert row.speed_mps == (20.0 if shown else None)
     page = admin.get("/").text
     assert ('<span class="num">72</span>' in page) == shown
     assert ('title="72 km/h at the last fix"' in page) == (not shown)
@@ -156,7 +158,9 @@ def test_kilometres_are_those_of_the_vehicle_that_heads_the_row(fleet, database,
 
     def shown() -> dict[str, float]:
         with database.reading() as session:
-            return {box.device.name: box.distance_m for box in queries.fleet(session, fleet.id, now=clock()).boxes}
+            rows = fleet_list(session, fleet.id, Wanted(), now=clock()).rows
+            assert rows == [row for row in whole(session, fleet.id, Wanted(), now=clock()) if row in rows]
+            return {row.device_name: row.distance_m for row in rows if row.device_id}
 
     with database.transaction() as session:
         first, second = session.scalars(sa.select(Device).order_by(Device.name)).all()
@@ -194,7 +198,7 @@ def test_statements_do_not_grow_with_the_fleet(fleet, database, clock):
     def statements() -> int:
         counted.clear()
         with database.reading() as session:
-            queries.fleet(session, fleet.id, now=clock())
+            fleet_list(session, fleet.id, Wanted(), now=clock())
         return len(counted)
 
     before = statements()
@@ -212,7 +216,7 @@ def test_statements_do_not_grow_with_the_fleet(fleet, database, clock):
                     vehicle_id=vehicle.id,
                 )
             )
-    assert statements() == before <= 5  # with the one that begins
+    assert statements() == before <= 6  # with the one that begins
 
 
 def test_another_organisations_vehicle_is_not_found(fleet, admin, database, clock):
@@ -225,13 +229,14 @@ def test_another_organisations_vehicle_is_not_found(fleet, admin, database, cloc
         session.add(foreign)
         session.flush()
         foreign_id = foreign.id
-        assert queries.fleet(session, other.id, now=clock()).boxes == []
+        assert fleet_list(session, other.id, Wanted(), now=clock()).boxes == 0
     answer = admin.get(f"/vehicles/{foreign_id}", headers={"Accept": "text/html"})
     assert answer.status_code == 404
     assert answer.headers["content-type"].startswith("text/html")
     assert "Foreign" not in answer.text
     assert "Foreign" not in admin.get("/vehicles").text
     assert fleet.id != other.id
+    assert admin.get("/vehicles?q=Foreign").status_code == 200
 
 
 def test_pages_are_not_part_of_the_api(admin):

@@ -1,19 +1,52 @@
-// Every page: times in the reader's zone, live updates, copy buttons.
+// Every page: times in the reader's zone, live updates, copy buttons, links that change the list in place, keys.
 
-import { watch } from "./live.js";
-import { showTimes } from "./time.js";
+import { go, watch } from "./live.js";
+import { changeZone, showTimes } from "./time.js";
+import { t } from "./words.js";
 
 showTimes();
 watch();
 
 document.addEventListener("click", (event) => {
-  const button = event.target instanceof Element ? event.target.closest("[data-copy]") : null;
+  const target = event.target instanceof Element ? event.target : null;
+  const link = target?.closest("a[data-soft]");
+  if (link instanceof HTMLAnchorElement && !event.ctrlKey && !event.metaKey && !event.shiftKey) {
+    event.preventDefault();
+    void go(link.href);
+  }
+  const open = document.querySelector("details.menu[open], .rail-more[open]");
+  if (open && !open.contains(target)) open.removeAttribute("open");
+  const button = target?.closest("[data-copy]");
   if (!(button instanceof HTMLElement) || !button.dataset.copy) return;
   const words = button.querySelector("span");
   const before = words?.textContent ?? "";
   void navigator.clipboard.writeText(button.dataset.copy).then(() => {
     if (!words) return;
-    words.textContent = "copied";
+    words.textContent = t("copied");
     setTimeout(() => { words.textContent = before; }, 1500);
   });
+});
+
+/** The row before or after the one that has the focus. @param {1 | -1} step */
+function move(step) {
+  const links = [...document.querySelectorAll(".rows tbody th a")].filter((a) => a.checkVisibility());
+  const next = links[links.indexOf(/** @type {Element} */ (document.activeElement)) + step] ?? links[step > 0 ? 0 : links.length - 1];
+  if (next instanceof HTMLElement) next.focus();
+}
+
+/** @type {Record<string, () => void>} */
+const KEYS = {
+  "/": () => document.getElementById("search")?.focus(),
+  "?": () => /** @type {HTMLDialogElement | null} */ (document.getElementById("keys"))?.showModal(),
+  j: () => move(1),
+  k: () => move(-1),
+  z: changeZone,
+};
+
+document.addEventListener("keydown", (event) => {
+  const at = event.target instanceof HTMLElement ? event.target : null;
+  if (event.key === "Escape") document.querySelector("details.menu[open], .rail-more[open]")?.removeAttribute("open");
+  if (event.ctrlKey || event.metaKey || event.altKey || at?.closest("input, select, textarea, dialog, [contenteditable]")) return;
+  const run = KEYS[event.key];
+  if (run) { event.preventDefault(); run(); }
 });

@@ -12,8 +12,30 @@ const WORLD = "/static/vendor/world-atlas";
 const GRID_FROM_ZOOM = 10;
 const METRES_PER_DEGREE = 111_320;
 
-/** @param {string} tiles template of the operator's raster tiles, or empty @returns {Style} */
-function style(tiles) {
+/** @typedef {{tiles: string, pmtiles: string}} Ground */
+let registered = false;
+
+/** The operator's archive of tiles as sources and layers: pictures, or shapes by the Protomaps schema. @param {string} url */
+async function archive(url) {
+  const { PMTiles, Protocol } = await import("../vendor/pmtiles/pmtiles.mjs");
+  if (!registered) { registered = true; maplibre.addProtocol("pmtiles", new Protocol().tile); }
+  const shapes = (await new PMTiles(new URL(url, location.href).href).getHeader()).tileType === 1;
+  const source = { type: shapes ? "vector" : "raster", url: `pmtiles://${new URL(url, location.href).href}`, ...(!shapes && { tileSize: 256 }) };
+  if (!shapes) return { source, layers: [{ id: "tiles", type: "raster", source: "tiles" }] };
+  const layer = (/** @type {string} */ name, /** @type {string} */ type, /** @type {object} */ paint, /** @type {object} */ more = {}) => ({ id: `pm-${name}`, type, source: "tiles", "source-layer": name, paint, ...more });
+  const line = colour("border"), ink = colour("map-ink"), land = colour("land");
+  return { source, layers: [
+    layer("earth", "fill", { "fill-color": land }),
+    layer("water", "fill", { "fill-color": colour("sea") }),
+    layer("buildings", "fill", { "fill-color": line, "fill-opacity": 0.35 }),
+    layer("roads", "line", { "line-color": line, "line-width": ["interpolate", ["exponential", 1.6], ["zoom"], 6, 0.4, 18, 12] }),
+    layer("boundaries", "line", { "line-color": line, "line-dasharray": [3, 2] }),
+    layer("places", "symbol", { "text-color": ink, "text-halo-color": land, "text-halo-width": 1.2 }, { layout: { "text-field": ["get", "name"], "text-size": 12 } }),
+  ] };
+}
+
+/** @param {string} tiles template of the operator's raster tiles, or empty @param {{source: object, layers: object[]} | undefined} more @returns {Style} */
+function style(tiles, more) {
   const [sea, land, border, ink, grid] = ["sea", "land", "border", "map-ink", "grid"].map(colour);
   return /** @type {Style} */ ({
     version: 8,
@@ -22,14 +44,14 @@ function style(tiles) {
       borders: { type: "geojson", data: `${WORLD}/borders.geojson` },
       names: { type: "geojson", data: `${WORLD}/names.geojson` },
       grid: { type: "geojson", data: collection([]) },
-      ...(tiles && { tiles: { type: "raster", tiles: [tiles], tileSize: 256 } }),
+      ...(more ? { tiles: more.source } : tiles && { tiles: { type: "raster", tiles: [tiles], tileSize: 256 } }),
     },
     layers: [
       { id: "sea", type: "background", paint: { "background-color": sea } },
       { id: "land", type: "fill", source: "land", paint: { "fill-color": land } },
       { id: "coast", type: "line", source: "land", paint: { "line-color": border, "line-width": 0.7 } },
       { id: "borders", type: "line", source: "borders", paint: { "line-color": border, "line-width": 0.8, "line-dasharray": [3, 2] } },
-      ...(tiles ? [{ id: "tiles", type: "raster", source: "tiles" }] : []),
+      ...(more ? more.layers : tiles ? [{ id: "tiles", type: "raster", source: "tiles" }] : []),
       { id: "grid", type: "line", source: "grid", minzoom: GRID_FROM_ZOOM, paint: { "line-color": grid, "line-width": 1 } },
       {
         id: "names", type: "symbol", source: "names", maxzoom: 9,
@@ -65,14 +87,16 @@ function metricGrid(map) {
 
 /**
  * A map in an element.  `dress` adds own sources and layers; it runs again when the colour scheme changes.
- * @param {HTMLElement} host @param {string} tiles @param {(map: Map) => void} dress
+ * @param {HTMLElement} host with the operator's `tiles` or `pmtiles` @param {(map: Map) => void} dress
  */
-export function makeMap(host, tiles, dress) {
+export function makeMap(host, dress) {
+  const tiles = host.getAttribute("tiles") ?? "", pmtiles = host.getAttribute("pmtiles") ?? "";
+  /** @type {Awaited<ReturnType<typeof archive>> | undefined} */ let more;
   const container = document.createElement("div");
   host.append(container);
   const map = new maplibre.Map({
-    container, style: style(tiles), center: [12, 44], zoom: 3, maxZoom: 18,
-    attributionControl: tiles ? { compact: true } : false, dragRotate: false, pitchWithRotate: false, fadeDuration: 0,
+    container, style: style(tiles, more), center: [12, 44], zoom: 3, maxZoom: 18,
+    attributionControl: tiles || pmtiles ? { compact: true } : false, dragRotate: false, pitchWithRotate: false, fadeDuration: 0,
   });
   map.touchZoomRotate.disableRotation();
   map.addControl(new maplibre.NavigationControl({ showCompass: false }), "top-right");
@@ -83,7 +107,12 @@ export function makeMap(host, tiles, dress) {
   };
   map.on("style.load", () => { dress(map); drawGrid(); });
   map.on("moveend", drawGrid);
-  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => map.setStyle(style(tiles), { diff: false }));
+  const restyle = async () => {
+    if (pmtiles) more = await archive(pmtiles).catch(() => undefined);  // without it the outline stays
+    map.setStyle(style(tiles, more), { diff: false });
+  };
+  if (pmtiles) void restyle();
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => void restyle());
   return map;
 }
 
@@ -104,4 +133,12 @@ export function icon(size, draw) {
   context.scale(2, 2);
   draw(context, size);
   return context.getImageData(0, 0, size * 2, size * 2);
+}
+
+/** A line of words over a map, or none. @param {HTMLElement} host @param {string} words */
+export function note(host, words) {
+  let line = host.querySelector(".map-note");
+  if (!words) { line?.remove(); return; }
+  if (!line) { line = document.createElement("p"); line.className = "map-note"; host.append(line); }
+  line.textContent = words;
 }

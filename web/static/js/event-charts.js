@@ -4,6 +4,7 @@ import uPlot from "../vendor/uplot/uplot.mjs";
 import { eventDocument, forgetDocuments } from "./event-document.js";
 import { colour } from "./palette.js";
 import { whenSeen } from "./seen.js";
+import { t } from "./words.js";
 
 /** @typedef {import("./event-document.js").Column} Column */
 /** @typedef {{label: string, values: Column, stroke: string, dash?: number[], sigma?: Column}} Curve */
@@ -15,10 +16,10 @@ class EventCharts extends HTMLElement {
 
   connectedCallback() {
     this.innerHTML = `
-      <p class="chart-head"><b>Change of velocity <span class="unit">km/h, 95 % band</span></b><span data-keys="dv"></span></p><div class="plot" data-plot="dv"></div>
-      <p class="chart-head"><b>Acceleration, gravity removed <span class="unit">g</span></b><span data-keys="pulse"></span></p><div class="plot" data-plot="pulse"></div>
-      <p class="chart-head"><b>Speed <span class="unit">km/h, 95 % band</span></b></p><div class="plot" data-plot="speed"></div>
-      <p class="chart-words" role="status">Reading the curves</p>`;
+      <p class="chart-head"><b>${t("Change of velocity")} <span class="unit">km/h, 95 %</span></b><span data-keys="dv"></span></p><div class="plot" data-plot="dv"></div>
+      <p class="chart-head"><b>${t("Acceleration, gravity removed")} <span class="unit">g</span></b><span data-keys="pulse"></span></p><div class="plot" data-plot="pulse"></div>
+      <p class="chart-head"><b>${t("Speed")} <span class="unit">km/h, 95 %</span></b></p><div class="plot" data-plot="speed"></div>
+      <p class="chart-words" role="status">${t("Reading the curves")}</p>`;
     whenSeen(this, () => void this.#draw());
     document.addEventListener("scatola:change", this.#onChange);
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => void this.#draw());
@@ -44,7 +45,7 @@ class EventCharts extends HTMLElement {
     try {
       found = await eventDocument(this.getAttribute("document") ?? "");
     } catch {
-      words.textContent = "The curves could not be read";
+      words.textContent = t("The curves could not be read");
       return;
     }
     for (const plot of this.#plots) plot.destroy();
@@ -54,24 +55,24 @@ class EventCharts extends HTMLElement {
       const ms = pulse.t_s.map((t) => (t === null ? null : 1000 * t));
       const after = pulse.sigma_kmh.map((sigma, k) => ((pulse.t_s[k] ?? -1) >= 0 ? sigma : 0));
       this.#plot("dv", "ms", ms, [
-        { label: "longitudinal", values: pulse.delta_v_kmh_x, stroke: colour("axis-x"), sigma: after },
-        { label: "lateral", values: pulse.delta_v_kmh_y, stroke: colour("axis-y"), sigma: after },
+        { label: t("longitudinal"), values: pulse.delta_v_kmh_x, stroke: colour("axis-x"), sigma: after },
+        { label: t("lateral"), values: pulse.delta_v_kmh_y, stroke: colour("axis-y"), sigma: after },
       ]);
       /** @type {Curve[]} */
       const curves = [
-        { label: "longitudinal", values: pulse.recorded_g_x, stroke: colour("axis-x") },
-        { label: "lateral", values: pulse.recorded_g_y, stroke: colour("axis-y") },
+        { label: t("longitudinal"), values: pulse.recorded_g_x, stroke: colour("axis-x") },
+        { label: t("lateral"), values: pulse.recorded_g_y, stroke: colour("axis-y") },
       ];
       if (pulse.clipped.some(Boolean)) {
         curves.push(
-          { label: "dashed: with the estimate of what was clipped", values: pulse.acceleration_g_x, stroke: colour("axis-x"), dash: [5, 4] },
+          { label: t("dashed: with the estimate of what was clipped"), values: pulse.acceleration_g_x, stroke: colour("axis-x"), dash: [5, 4] },
           { label: "", values: pulse.acceleration_g_y, stroke: colour("axis-y"), dash: [5, 4] },
         );
       }
       this.#plot("pulse", "ms", ms, curves);
     }
     if (trajectory) this.#plot("speed", "s", trajectory.t_s, [{ label: "", values: trajectory.speed_kmh, stroke: colour("track"), sigma: trajectory.speed_sigma_kmh }]);
-    words.textContent = "Time counts from time zero.";
+    words.textContent = t("Time counts from time zero.");
     this.dataset.drawn = String(this.#plots.length);
   }
 

@@ -1,9 +1,10 @@
-// <event-map document="url" tiles="">: the way before and after an event, its 95 % ellipses, where it happened and ended.
+// <event-map document="url" tiles="" pmtiles="">: the way before and after an event, its 95 % ellipses, where it happened and ended.
 
 import { collection, fit, makeMap } from "./basemap.js";
 import { eventDocument } from "./event-document.js";
 import { colour } from "./palette.js";
 import { whenSeen } from "./seen.js";
+import { t } from "./words.js";
 
 /** @typedef {import("../vendor/maplibre-gl/maplibre-gl.mjs").Map} Map */
 /** @typedef {import("./event-document.js").Way} Way */
@@ -28,7 +29,7 @@ class EventMap extends HTMLElement {
     if (!way) return;
     const rest = found.event.rest ? found.event.rest.t_s - found.event.t0_s : null;
     const points = this.#lay(way, rest);
-    this.#map = makeMap(this, this.getAttribute("tiles") ?? "", (map) => this.#dress(map));
+    this.#map = makeMap(this, (map) => this.#dress(map));
     const near = points.filter(({ t }) => t >= -SHOWN_BEFORE_S && t <= SHOWN_AFTER_S).map(({ place }) => place);
     fit(this.#map, near.length ? near : points.map(({ place }) => place), 18);
     this.dataset.points = String(points.length);
@@ -51,7 +52,7 @@ class EventMap extends HTMLElement {
     this.#ellipses = collection(every.flatMap(({ place, k }) => ellipse(place, way.ellipse_long_m[k], way.ellipse_short_m[k], way.ellipse_deg[k])));
     const nearest = (/** @type {number} */ wanted) => points.reduce((best, p) => (Math.abs(p.t - wanted) < Math.abs(best.t - wanted) ? p : best), /** @type {typeof points[0]} */ (points[0]));
     const marks = points.length ? [{ words: "impact", place: nearest(0).place }, ...(rest !== null ? [{ words: "rest", place: nearest(rest).place }] : [])] : [];
-    this.#marks = collection(marks.map(({ words, place }) => ({ type: "Feature", properties: { words }, geometry: { type: "Point", coordinates: place } })));
+    this.#marks = collection(marks.map(({ words, place }) => ({ type: "Feature", properties: { words, say: words === "impact" ? t("impact") : t("rest") }, geometry: { type: "Point", coordinates: place } })));
     return points;
   }
 
@@ -76,7 +77,7 @@ class EventMap extends HTMLElement {
     });
     map.addLayer({
       id: "mark-words", type: "symbol", source: "marks",
-      layout: { "text-field": ["get", "words"], "text-size": 12, "text-anchor": "top", "text-offset": [0, 0.8], "text-allow-overlap": true },
+      layout: { "text-field": ["get", "say"], "text-size": 12, "text-anchor": "top", "text-offset": [0, 0.8], "text-allow-overlap": true },
       paint: { "text-color": colour("ink"), "text-halo-color": colour("card"), "text-halo-width": 1.5 },
     });
   }

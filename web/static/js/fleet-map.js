@@ -1,12 +1,17 @@
-// <fleet-map rows="id of the table" tiles="">: every row with a position is a mark; colour and shape say the state.
+// <fleet-map tiles="" pmtiles="">: every box of the list with a position is a mark; colour and shape say the state.
+// Positions move with the live stream, a crowd of them at a time; states and filters come from /fleet/places.
 
 import { Popup, GeoJSONSource } from "../vendor/maplibre-gl/maplibre-gl.mjs";
-import { collection, fit, icon, makeMap } from "./basemap.js";
+import { collection, fit, icon, makeMap, note } from "./basemap.js";
 import { colour } from "./palette.js";
+import { t } from "./words.js";
 
 /** @typedef {import("../vendor/maplibre-gl/maplibre-gl.mjs").Map} Map */
+/** @typedef {[id: string, url: string, name: string, mark: string, words: string, lat: number, lon: number]} Place */
 const SIZE = 22;
 const TAU = 2 * Math.PI;
+const BATCH_MS = 500;
+const STATES = ["good", "unknown", "attention", "alarm"];
 
 /** Outline of a state's shape. @type {Record<string, (c: CanvasRenderingContext2D, m: number) => void>} */
 const SHAPES = {
@@ -18,10 +23,15 @@ const SHAPES = {
 
 class FleetMap extends HTMLElement {
   /** @type {Map | undefined} */ #map;
-  #fitted = false;
+  /** By id. @type {globalThis.Map<string, Place>} */ #places = new Map();
+  /** What the view was fitted to; a reader who moved the map since is left alone. */
+  #fitted = "";
+  #touched = false;
+  /** @type {ReturnType<typeof setTimeout> | undefined} */ #later;
+  #asked = 0;
 
   connectedCallback() {
-    this.#map = makeMap(this, this.getAttribute("tiles") ?? "", (map) => this.#dress(map));
+    this.#map = makeMap(this, (map) => this.#dress(map));
     const popup = new Popup({ closeButton: false, closeOnClick: false, offset: 14 });
     this.#map.on("mousemove", "boxes", (event) => {
       const feature = event.features?.[0];
@@ -36,11 +46,16 @@ class FleetMap extends HTMLElement {
     this.#map.on("mouseleave", "boxes", (event) => { popup.remove(); event.target.getCanvas().style.cursor = ""; });
     this.#map.on("click", "boxes", (event) => { location.href = event.features?.[0]?.properties.url; });
     this.#map.on("click", "crowds", (event) => event.target.easeTo({ center: event.lngLat, zoom: event.target.getZoom() + 2 }));
-    document.addEventListener("scatola:parts", this.#update);
+    this.#map.on("movestart", (event) => { if (event.originalEvent) this.#touched = true; });
+    document.addEventListener("scatola:parts", this.#ask);
+    document.addEventListener("scatola:change", this.#onChange);
+    void this.#ask();
   }
 
   disconnectedCallback() {
-    document.removeEventListener("scatola:parts", this.#update);
+    document.removeEventListener("scatola:parts", this.#ask);
+    document.removeEventListener("scatola:change", this.#onChange);
+    clearTimeout(this.#later);
     this.#map?.remove();
   }
 
@@ -60,10 +75,16 @@ class FleetMap extends HTMLElement {
       });
       map.addImage(state, image, { pixelRatio: 2 });
     }
-    map.addSource("boxes", { type: "geojson", data: this.#features(), cluster: true, clusterRadius: 32, clusterMaxZoom: 13 });
+    map.addSource("boxes", {
+      type: "geojson", data: this.#features(), cluster: true, clusterRadius: 36, clusterMaxZoom: 13,
+      clusterProperties: { worst: ["max", ["get", "rank"]] },
+    });
     map.addLayer({
       id: "crowds", type: "circle", source: "boxes", filter: ["has", "point_count"],
-      paint: { "circle-color": card, "circle-radius": 14, "circle-stroke-width": 2, "circle-stroke-color": colour("accent") },
+      paint: {
+        "circle-color": card, "circle-radius": ["step", ["get", "point_count"], 14, 100, 18, 1000, 22], "circle-stroke-width": 3,
+        "circle-stroke-color": ["match", ["get", "worst"], 3, colour("alarm-fill"), 2, colour("attention-fill"), 1, colour("unknown-fill"), colour("good-fill")],
+      },
     });
     map.addLayer({
       id: "crowd-sizes", type: "symbol", source: "boxes", filter: ["has", "point_count"],
@@ -77,35 +98,43 @@ class FleetMap extends HTMLElement {
       },
       paint: { "text-color": ink, "text-halo-color": card, "text-halo-width": 1.5 },
     });
-    this.#update();
   }
 
   #features() {
-    const rows = document.querySelectorAll(`#${CSS.escape(this.getAttribute("rows") ?? "")} tr[data-lat]`);
-    return collection([...rows].map((row) => {
-      const { lat, lon, ...properties } = /** @type {HTMLElement} */ (row).dataset;
-      return { type: "Feature", properties, geometry: { type: "Point", coordinates: [Number(lon), Number(lat)] } };
-    }));
+    return collection([...this.#places.values()].map(([, url, name, mark, words, lat, lon]) => (
+      { type: "Feature", properties: { url, name, mark, words, rank: STATES.indexOf(mark) }, geometry: { type: "Point", coordinates: [lon, lat] } })));
   }
 
-  #update = () => {
-    const data = this.#features();
-    const source = this.#map?.getSource("boxes");
-    if (source instanceof GeoJSONSource) source.setData(data);
-    this.dataset.marks = String(data.features.length);
-    if (this.#map && !this.#fitted && data.features.length > 0) {
-      this.#fitted = true;
-      fit(this.#map, data.features.map((f) => /** @type {[number, number]} */ (/** @type {GeoJSON.Point} */ (f.geometry).coordinates)), 13);
-    }
-    this.#note(data.features.length === 0 ? "No box has a position yet" : "");
+  #ask = async () => {
+    const asked = ++this.#asked;
+    const answer = await fetch(`/fleet/places${location.search}`).catch(() => undefined);
+    if (asked !== this.#asked) return;  // a later question is on its way
+    if (!answer?.ok) { note(this, t("The positions could not be read")); return; }
+    /** @type {Place[]} */
+    const places = await answer.json();
+    this.#places = new Map(places.map((place) => [place[0], place]));
+    this.#draw();
   };
 
-  /** @param {string} words */
-  #note(words) {
-    let note = this.querySelector(".map-note");
-    if (!words) { note?.remove(); return; }
-    if (!note) { note = document.createElement("p"); note.className = "map-note"; this.append(note); }
-    note.textContent = words;
+  /** A box that moves is moved here at once. @param {Event} event */
+  #onChange = (event) => {
+    const { kind, device_id: id, lat_deg: lat, lon_deg: lon } = /** @type {CustomEvent} */ (event).detail;
+    const place = this.#places.get(id);
+    if (kind !== "position" || !place || typeof lat !== "number") return;
+    [place[5], place[6]] = [lat, lon];
+    this.#later ??= setTimeout(() => { this.#later = undefined; if (!document.hidden) this.#draw(); }, BATCH_MS);
+  };
+
+  #draw() {
+    const source = this.#map?.getSource("boxes");
+    if (source instanceof GeoJSONSource) source.setData(this.#features());
+    this.dataset.marks = String(this.#places.size);
+    const shown = [...this.#places.keys()].sort().join();
+    if (this.#map && !this.#touched && shown !== this.#fitted) {
+      this.#fitted = shown;
+      fit(this.#map, [...this.#places.values()].map(([, , , , , lat, lon]) => [lon, lat]), 13);
+    }
+    note(this, this.#places.size === 0 ? t("No box of this list has a position yet") : "");
   }
 }
 

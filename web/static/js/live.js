@@ -3,12 +3,14 @@
 // data-live, so there is one way a number gets on the screen.
 
 import { formatTimes } from "./time.js";
+import { t } from "./words.js";
 
 /** @typedef {{at: string, device_id: string | null, vehicle_id: string | null}} Change */
 
 const KINDS = ["batch", "installation", "trip", "position", "moved", "device", "vehicle", "event"];
-/** Changes come in crowds; a second's worth of them is one fetch. */
+/** Changes come in crowds; a second's worth of them is one fetch, and a page that takes long to make waits longer. */
 const SETTLE_MS = 1000;
+const REST_PER_WORK = 8;
 /** Nobody who waits for a crash report waits for the crowd. */
 const URGENT_MS = 100;
 const RETRY_MS = 5000;
@@ -16,19 +18,22 @@ const RETRY_MS = 5000;
 /** @type {ReturnType<typeof setTimeout> | undefined} */
 let pending;
 let stale = false;
+/** Not before: a large fleet changes all the time, and its page is not made all the time. */
+let restUntil = 0;
 
 export function watch() {
   connect();
   document.addEventListener("visibilitychange", () => { if (!document.hidden && stale) refreshSoon(); });
+  addEventListener("popstate", () => void refresh());
   addEventListener("pageshow", (event) => { if (event.persisted) location.reload(); });
 }
 
 function connect() {
   // The page says up to which change it is true; a connection that drops resumes by Last-Event-ID.
   const source = new EventSource(`/api/v1/live?after=${document.body.dataset.change ?? ""}`);
-  source.addEventListener("open", () => say("on", "Live"));
+  source.addEventListener("open", () => say("on", t("Live")));
   source.addEventListener("error", () => {
-    say("off", "Reconnecting");
+    say("off", t("Reconnecting"));
     if (source.readyState !== EventSource.CLOSED) return;
     // Refused rather than dropped, and the browser will not try again by itself: signed out, or not up yet.
     setTimeout(() => { void refresh(); connect(); }, RETRY_MS);
@@ -63,23 +68,31 @@ let dueAt = 0;
 /** @param {number} within milliseconds */
 function refreshSoon(within = SETTLE_MS) {
   stale = true;
-  const at = performance.now() + within;
+  const at = Math.max(performance.now() + within, within === URGENT_MS ? 0 : restUntil);
   if (document.hidden || (pending !== undefined && dueAt <= at)) return;
   clearTimeout(pending);
   dueAt = at;
-  pending = setTimeout(refresh, within);
+  pending = setTimeout(refresh, at - performance.now());
+}
+
+/** Another address of the same page: its parts are swapped, and the address can be kept and sent. @param {string} address */
+export async function go(address) {
+  history.pushState(null, "", address);
+  await refresh();
 }
 
 async function refresh() {
   stale = false;
+  const began = performance.now();
   try {
     const response = await fetch(location.href, { headers: { Accept: "text/html" } });
     if (response.redirected) { location.reload(); return; }  // signed out meanwhile
     if (response.ok) swap(new DOMParser().parseFromString(await response.text(), "text/html"));
   } catch {
-    say("off", "Reconnecting");
+    say("off", t("Reconnecting"));
   } finally {
     pending = undefined;
+    restUntil = performance.now() + REST_PER_WORK * (performance.now() - began);
     if (stale) refreshSoon();
   }
 }

@@ -2,6 +2,7 @@
 // player, in a frame of our own origin, opened with a short-lived ticket.
 
 import { whenSeen } from "./seen.js";
+import { t } from "./words.js";
 
 class Scene3d extends HTMLElement {
   connectedCallback() {
@@ -9,7 +10,7 @@ class Scene3d extends HTMLElement {
   }
 
   async #open() {
-    this.#say("Opening the 3D view");
+    this.#say(t("Opening the 3D view"));
     const token = document.querySelector('meta[name="csrf-token"]')?.getAttribute("content") ?? "";
     try {
       const event = this.getAttribute("event");
@@ -25,15 +26,15 @@ class Scene3d extends HTMLElement {
       const recording = event ? `${url}events/${event}.viser` : "";
       const frame = document.createElement("iframe");
       const dark = matchMedia("(prefers-color-scheme: dark)").matches;
-      frame.title = event ? "Replay of the event, in three dimensions" : "Box in the vehicle, in three dimensions";
+      frame.title = event ? t("Replay of the event, in three dimensions") : t("Box in the vehicle, in three dimensions");
       frame.src = `${url}?hideViserLogo${dark ? "&darkMode" : ""}${recording && `&playbackPath=${encodeURIComponent(recording)}`}`;
       this.replaceChildren(frame);
     } catch {
       const again = document.createElement("button");
       again.type = "button";
-      again.textContent = "Try again";
+      again.textContent = t("Try again");
       again.addEventListener("click", () => void this.#open());
-      this.#say("The 3D view is not running", again);
+      this.#say(t("The 3D view is not running"), again);
     }
   }
 

@@ -1,22 +1,26 @@
 // <signal-chart device="id" mounting="id of that part" last="id of the trips' part">: speed and specific force over one time axis.
-// Dragging zooms and fetches again at the new resolution; a double click goes back.
+// Dragging zooms and fetches again at the new resolution; a double click goes back.  The address names the window.
 
 import uPlot from "../vendor/uplot/uplot.mjs";
 import { colour } from "./palette.js";
 import { decode } from "./signals.js";
+import { formatter } from "./time.js";
+import { SPEED, t } from "./words.js";
 
 /** @typedef {import("./signals.js").Signals} Signals */
 /** @typedef {{seconds: number} | {from: string, to: string}} View */
 const FORCE = ["fx", "fy", "fz"];
 const AXIS = /** @type {const} */ (["axis-x", "axis-y", "axis-z"]);
-const DIRECTIONS = ["x forward", "y right", "z down"];
-const KMH = 3.6;
+const DIRECTIONS = [t("x forward"), t("y right"), t("z down")];
+const SPANS = /** @type {const} */ ([[60, t("Last minute")], [600, t("10 minutes")], [3600, t("1 hour")], [21600, t("6 hours")]]);
 const REFETCH_MS = 1500;
 const HEIGHT = 180;
 
 class SignalChart extends HTMLElement {
   /** @type {View} */ #view = { seconds: 60 };
   /** @type {View[]} */ #back = [];
+  /** Whether the view is that of the trip that the page shows, whichever that becomes. */
+  #onTrip = false;
   /** @type {"a" | "v"} */ #frame = "a";
   /** Whether the reader has chosen the axes; until then they are the vehicle's as soon as it is known how the box sits. */
   #chosen = false;
@@ -27,31 +31,53 @@ class SignalChart extends HTMLElement {
 
   connectedCallback() {
     this.innerHTML = `
-      <div class="chart-bar"><h2>Signals</h2>
-        <div class="choice" data-choice="view" role="group" aria-label="Time span">
-          <button type="button" value="60" aria-pressed="true">Last minute</button><button type="button" value="600">10 minutes</button><button type="button" value="trip" disabled>Last trip</button>
+      <div class="chart-bar"><h2>${t("Signals")}</h2>
+        <div class="choice" data-choice="view" role="group" aria-label="${t("Time span")}">
+          ${SPANS.map(([seconds, words]) => `<button type="button" value="${seconds}">${words}</button>`).join("")}<button type="button" value="trip" disabled>${t("The trip")}</button>
         </div>
-        <div class="choice" data-choice="frame" role="group" aria-label="Axes">
-          <button type="button" value="v">Vehicle axes</button><button type="button" value="a">Box axes</button>
+        <div class="choice" data-choice="frame" role="group" aria-label="${t("Axes")}">
+          <button type="button" value="v">${t("Vehicle axes")}</button><button type="button" value="a">${t("Box axes")}</button>
         </div>
       </div>
-      <p class="chart-head"><b>Speed <span class="unit">km/h</span></b></p><div class="plot" data-plot="speed"></div>
-      <p class="chart-head"><b>Specific force <span class="unit">m/s²</span></b>${AXIS.map((axis, i) => `<span class="chart-key"><span class="axis ${axis}"></span><span data-key="${i}"></span></span>`).join("")}</p><div class="plot" data-plot="force"></div>
+      <p class="chart-head"><b>${t("Speed")} <span class="unit">${SPEED.unit}</span></b></p><div class="plot" data-plot="speed"></div>
+      <p class="chart-head"><b>${t("Specific force")} <span class="unit">m/s²</span></b>${AXIS.map((axis, i) => `<span class="chart-key"><span class="axis ${axis}"></span><span data-key="${i}"></span></span>`).join("")}</p><div class="plot" data-plot="force"></div>
       <p class="chart-words" role="status"></p>`;
+    this.#fromAddress();
     this.#follow();
     this.addEventListener("click", this.#onClick);
     document.addEventListener("scatola:parts", this.#onParts);
     document.addEventListener("scatola:change", this.#onChange);
+    document.addEventListener("scatola:zone", this.#redraw);
+    document.addEventListener("scatola:place", this.#onPlace);
     new ResizeObserver(() => this.#resize()).observe(this);
-    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { this.#discard(); this.#draw(); });
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", this.#redraw);
     void this.#fetch();
   }
 
   disconnectedCallback() {
     document.removeEventListener("scatola:change", this.#onChange);
     document.removeEventListener("scatola:parts", this.#onParts);
+    document.removeEventListener("scatola:zone", this.#redraw);
+    document.removeEventListener("scatola:place", this.#onPlace);
     this.#asking?.abort();
     this.#discard();
+  }
+
+  #redraw = () => { this.#discard(); this.#draw(); };
+
+  /** The window that the address names, so that it can be sent to somebody. */
+  #fromAddress() {
+    const asked = new URLSearchParams(location.search);
+    const from = asked.get("from"), to = asked.get("to"), seconds = Number(asked.get("seconds"));
+    this.#view = from && to ? { from, to } : { seconds: seconds > 0 ? seconds : 60 };
+    this.#pressed("view", "seconds" in this.#view ? String(this.#view.seconds) : "");
+  }
+
+  #toAddress() {
+    const address = new URL(location.href);
+    for (const name of ["from", "to", "seconds"]) address.searchParams.delete(name);
+    for (const [name, value] of Object.entries(this.#view)) if (value !== 60) address.searchParams.set(name, String(value));
+    history.replaceState(null, "", address);
   }
 
   /** @param {Event} event */
@@ -65,7 +91,9 @@ class SignalChart extends HTMLElement {
       this.#frame = button.value === "v" ? "v" : "a";
     } else {
       this.#back = [];
-      this.#view = button.value === "trip" ? this.#trip() : { seconds: Number(button.value) };
+      this.#onTrip = button.value === "trip";
+      this.#view = this.#onTrip ? this.#trip() : { seconds: Number(button.value) };
+      this.#toAddress();
     }
     void this.#fetch();
   };
@@ -93,7 +121,18 @@ class SignalChart extends HTMLElement {
     return this.#frame !== before;
   }
 
-  #onParts = () => { if (this.#follow()) void this.#fetch(); };
+  #onParts = () => {
+    let changed = this.#follow();
+    const trip = this.#trip();
+    if (this.#onTrip && "from" in this.#view && "from" in trip && this.#view.from !== trip.from) { this.#view = trip; this.#toAddress(); changed = true; }
+    if (changed) void this.#fetch();
+  };
+
+  /** The instant under the pointer on the map. @param {Event} event */
+  #onPlace = (event) => {
+    const plot = this.#plots?.speed;
+    if (plot) plot.setCursor({ left: plot.valToPos(/** @type {CustomEvent<{at: number}>} */ (event).detail.at, "x"), top: 1 });
+  };
 
   /** New data of this box, while the chart follows the newest. @param {Event} event */
   #onChange = (event) => {
@@ -112,13 +151,13 @@ class SignalChart extends HTMLElement {
       const answer = await fetch(`/api/v1/devices/${this.getAttribute("device")}/signals?${query}`, { signal: asking.signal });
       if (!answer.ok) {
         const problem = /** @type {{detail?: string}} */ (await answer.json());
-        this.#say(problem.detail ?? "The signals could not be read");
+        this.#say(problem.detail ?? t("The signals could not be read"));
         return;
       }
       this.#signals = decode(await answer.arrayBuffer());
       this.#draw();
     } catch (error) {
-      if (!asking.signal.aborted) { this.#say("The signals could not be read"); console.warn(error); }
+      if (!asking.signal.aborted) { this.#say(t("The signals could not be read")); console.warn(error); }
     }
   }
 
@@ -130,17 +169,17 @@ class SignalChart extends HTMLElement {
     this.#plots ??= { speed: this.#plot("speed", [{ stroke: colour("track") }]), force: this.#plot("force", AXIS.map((axis) => ({ stroke: colour(axis) }))) };
     const t0 = Date.parse(header.t0) / 1000;
     const window = { min: Date.parse(header.from) / 1000, max: Date.parse(header.to) / 1000 };
-    this.#put(this.#plots.speed, t0, window, [series.speed], KMH);
+    this.#put(this.#plots.speed, t0, window, [series.speed], SPEED.perMps);
     this.#put(this.#plots.force, t0, window, FORCE.map((name) => series[name]), 1);
-    this.#say(empty ? "Not yet: no samples in this window" : this.#words(header));
+    this.#say(empty ? t("Not yet: no samples in this window") : this.#words(header));
     this.dataset.points = String(header.groups.reduce((sum, group) => sum + group.count, 0));
   }
 
   /** @param {import("./signals.js").Header} header */
   #words(header) {
-    const missing = header.frame === "a" && !this.#mounted ? "Box axes: the mounting is not known yet. " : "";
-    const gaps = header.gaps.length ? `${header.gaps.length} ${header.gaps.length === 1 ? "gap" : "gaps"} in the data. ` : "";
-    return `${missing}${gaps}Drag to zoom${this.#back.length ? ", double click to go back" : ""}.`;
+    const missing = header.frame === "a" && !this.#mounted ? t("Box axes: the mounting is not known yet.") : "";
+    const gaps = header.gaps.length ? t("Gaps in the data: {n}.", { n: header.gaps.length }) : "";
+    return [missing, gaps, this.#back.length ? t("Drag to zoom, double click to go back.") : t("Drag to zoom.")].filter(Boolean).join(" ");
   }
 
   /** @param {uPlot} plot @param {number} t0 @param {{min: number, max: number}} window @param {(Signals["series"][string] | undefined)[]} columns @param {number} factor */
@@ -155,9 +194,10 @@ class SignalChart extends HTMLElement {
       if (all.length === 0) return;
       const low = Math.min(...all), high = Math.max(...all);
       // A quiet signal keeps a span that shows it as quiet.
-      const span = Math.max(high - low, factor === KMH ? 20 : 2), middle = (low + high) / 2;
-      const min = factor === KMH ? 0 : middle - span * 0.55;
-      plot.setScale("y", { min, max: factor === KMH ? Math.max(high, 20) * 1.1 : middle + span * 0.55 });
+      const speeds = factor !== 1;
+      const span = Math.max(high - low, speeds ? 20 : 2), middle = (low + high) / 2;
+      const min = speeds ? 0 : middle - span * 0.55;
+      plot.setScale("y", { min, max: speeds ? Math.max(high, 20) * 1.1 : middle + span * 0.55 });
     });
   }
 
@@ -171,7 +211,7 @@ class SignalChart extends HTMLElement {
       cursor: { sync: { key: "signals" }, drag: { x: true, y: false, setScale: false }, points: { size: 6 }, bind: { dblclick: () => () => { this.#zoomBack(); return null; } } },
       axes: [{ ...axis, space: 90, size: 30, values: timeWords }, { ...axis, size: 48 }],
       series: [{}, ...lines.map(({ stroke }) => ({ stroke, width: 1.5, spanGaps: false, points: { show: false } }))],
-      hooks: { setSelect: [(plot) => this.#zoom(plot)] },
+      hooks: { setSelect: [(plot) => this.#zoom(plot)], ...(name === "speed" && { setCursor: [tell] }) },
     };
     return new uPlot(options, [[], ...lines.map(() => [])], host);
   }
@@ -185,6 +225,7 @@ class SignalChart extends HTMLElement {
     this.#view = { from: iso(left), to: iso(left + width) };
     for (const one of Object.values(this.#plots ?? {})) one.setSelect({ left: 0, width: 0, top: 0, height: 0 }, false);
     this.#pressed("view", "");
+    this.#toAddress();
     void this.#fetch();
   }
 
@@ -192,7 +233,8 @@ class SignalChart extends HTMLElement {
     const before = this.#back.pop();
     if (!before) return;
     this.#view = before;
-    if ("seconds" in before) this.#pressed("view", String(before.seconds));
+    this.#pressed("view", "seconds" in before ? String(before.seconds) : this.#onTrip ? "trip" : "");
+    this.#toAddress();
     void this.#fetch();
   }
 
@@ -227,8 +269,14 @@ function timeWords(_, ticks) {
   const step = (ticks[1] ?? 0) - (ticks[0] ?? 0);
   /** @type {Intl.DateTimeFormatOptions} */
   const style = { hour: "2-digit", minute: "2-digit", ...(step < 60 && { second: "2-digit" }), ...(step < 1 && { fractionalSecondDigits: 2 }) };
-  const format = new Intl.DateTimeFormat("en-GB", style);
+  const format = formatter(style);
   return ticks.map((tick) => format.format(new Date(tick * 1000)));
+}
+
+/** Tells the map which instant is under the cursor. @param {uPlot} plot */
+function tell(plot) {
+  const left = plot.cursor.left ?? -1;
+  document.dispatchEvent(new CustomEvent("scatola:cursor", { detail: { at: left < 0 ? null : plot.posToVal(left, "x") } }));
 }
 
 customElements.define("signal-chart", SignalChart);

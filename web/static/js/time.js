@@ -1,18 +1,34 @@
-// Times come from the server in UTC and are shown in the reader's zone, which the top bar names.
+// Times come from the server in UTC and are shown in the reader's zone, or in UTC at the press of a button.
 
-const DATE_TIME = new Intl.DateTimeFormat("en-GB", { day: "2-digit", month: "short", year: "numeric", hour: "2-digit", minute: "2-digit", second: "2-digit" });
-const SHORT = new Intl.DateTimeFormat("en-GB", { day: "2-digit", month: "short", hour: "2-digit", minute: "2-digit" });
-const DAY = new Intl.DateTimeFormat("en-GB", { day: "2-digit", month: "short", year: "numeric" });
+import { LANGUAGE, t } from "./words.js";
+
+const KEY = "scatola:utc";
 const MINUTE_S = 60, HOUR_S = 3600, DAY_S = 86400;
+let utc = localStorage.getItem(KEY) === "1";
+
+/** @param {Intl.DateTimeFormatOptions} style */
+export function formatter(style) {
+  return new Intl.DateTimeFormat(LANGUAGE, { ...style, ...(utc && { timeZone: "UTC" }) });
+}
+
+function formatters() {
+  const clock = /** @type {const} */ ({ day: "2-digit", month: "short", hour: "2-digit", minute: "2-digit" });
+  return {
+    full: formatter({ ...clock, year: "numeric", second: "2-digit" }),
+    short: formatter(clock),
+    day: formatter({ day: "2-digit", month: "short", year: "numeric" }),
+  };
+}
+let formats = formatters();
 
 /** @param {Date} at @param {number} now milliseconds */
 function ago(at, now) {
   const seconds = Math.round((now - at.getTime()) / 1000);
-  if (seconds < 5) return "now";
-  if (seconds < MINUTE_S) return `${seconds - (seconds % 5)} s ago`;
-  if (seconds < HOUR_S) return `${Math.floor(seconds / MINUTE_S)} min ago`;
-  if (seconds < DAY_S) return `${Math.floor(seconds / HOUR_S)} h ago`;
-  return DAY.format(at);
+  if (seconds < 5) return t("now");
+  if (seconds < MINUTE_S) return t("{n} s ago", { n: seconds - (seconds % 5) });
+  if (seconds < HOUR_S) return t("{n} min ago", { n: Math.floor(seconds / MINUTE_S) });
+  if (seconds < DAY_S) return t("{n} h ago", { n: Math.floor(seconds / HOUR_S) });
+  return formats.day.format(at);
 }
 
 /** Words for every time element below a root. @param {ParentNode} root */
@@ -22,15 +38,30 @@ export function formatTimes(root = document) {
     if (!(element instanceof HTMLTimeElement)) continue;
     const at = new Date(element.dateTime);
     const style = element.dataset.style;
-    const words = style === "ago" ? ago(at, now) : (style === "short" ? SHORT : DATE_TIME).format(at);
+    const words = style === "ago" ? ago(at, now) : (style === "short" ? formats.short : formats.full).format(at);
     if (element.textContent !== words) element.textContent = words;
-    element.title = `${DATE_TIME.format(at)} (${at.toISOString().slice(0, 19)}Z)`;
+    const title = `${formats.full.format(at)} (${at.toISOString().slice(0, 19)}Z)`;
+    if (element.title !== title) element.title = title;
   }
 }
 
+function sayZone() {
+  const zone = document.querySelector("#zone span");
+  if (zone) zone.textContent = utc ? "UTC" : Intl.DateTimeFormat().resolvedOptions().timeZone;
+}
+
+export function changeZone() {
+  utc = !utc;
+  localStorage.setItem(KEY, utc ? "1" : "");
+  formats = formatters();
+  sayZone();
+  formatTimes();
+  document.dispatchEvent(new CustomEvent("scatola:zone"));
+}
+
 export function showTimes() {
-  const zone = document.getElementById("zone");
-  if (zone) zone.textContent = Intl.DateTimeFormat().resolvedOptions().timeZone;
+  sayZone();
+  document.getElementById("zone")?.addEventListener("click", changeZone);
   formatTimes();
   setInterval(formatTimes, 5000);
 }

@@ -1,0 +1,157 @@
+"""The pages that show the fleet as a list and on a map, the file of the list, and what readers keep of it."""
+
+from __future__ import annotations
+
+import csv
+import io
+from typing import Annotated
+
+import orjson
+from fastapi import APIRouter, Depends, Form, Query, Request
+from starlette.responses import HTMLResponse, RedirectResponse, Response
+
+from server.accounts.access import Caller, LocationReader, Reader, look_at_places
+from server.accounts.preferences import View
+from server.accounts.service import keep_preferences
+from server.edge import DatabaseOf, Now, SettingsOf
+from server.pages import frame, queries
+from server.pages.fleet import PERIODS, SHOWN, Fleet, Show, Sort, Wanted, fleet, places, whole
+from server.pages.language import catalogue
+from server.pages.routes import answer, map_settings
+
+router = APIRouter(include_in_schema=False, default_response_class=HTMLResponse)
+
+
+def _wanted(
+    q: Annotated[str, Query(max_length=100)] = "",
+    show: Show = "all",
+    sort: Sort = "name",
+    down: bool = False,
+    days: Annotated[int, Query(ge=0, le=3650)] = 30,
+    page: Annotated[int, Query(ge=1, le=100_000)] = 1,
+) -> Wanted:
+    return Wanted(q.strip(), show, sort, down, days if days in PERIODS else 30, page)
+
+
+WantedOf = Annotated[Wanted, Depends(_wanted)]
+
+
+@router.get("/")
+def fleet_page(
+    request: Request, caller: Reader, settings: SettingsOf, database: DatabaseOf, now: Now, wanted: WantedOf
+) -> HTMLResponse:
+    """Map, what needs attention, and the list."""
+    look_at_places(request, caller)
+    with database.reading() as session:
+        change = queries.last_change(session, caller.organisation_id)
+        found = fleet(session, caller.organisation_id, wanted, now=now)
+    context = {**_context(found, caller, "fleet", "/"), **map_settings(settings)}
+    return answer(request, "fleet.html", caller, "fleet", change, context)
+
+
+@router.get("/vehicles")
+def vehicles_page(request: Request, caller: Reader, database: DatabaseOf, now: Now, wanted: WantedOf) -> HTMLResponse:
+    """The list alone, and where the search of every page leads."""
+    with database.reading() as session:
+        change = queries.last_change(session, caller.organisation_id)
+        found = fleet(session, caller.organisation_id, wanted, now=now)
+    if wanted.q and found.found == 1:
+        return RedirectResponse(found.rows[0].url, 303)  # type: ignore[return-value]
+    context = _context(found, caller, "vehicles", "/vehicles")
+    return answer(request, "vehicles.html", caller, "vehicles", change, context)
+
+
+def _context(found: Fleet, caller: Caller, page: str, path: str) -> dict[str, object]:
+    return {
+        "fleet": found,
+        "wanted": found.wanted,
+        "path": path,
+        "searched": found.wanted.q,
+        "shown_words": SHOWN,
+        "periods": PERIODS,
+        "list_page": page,
+        "views": caller.preferences.views_of(page),
+    }
+
+
+@router.get("/fleet.csv")
+def fleet_file(request: Request, caller: Reader, database: DatabaseOf, now: Now, wanted: WantedOf) -> Response:
+    """The list as a file: the same filters, every row, SI-based units in the names of its columns."""
+    look_at_places(request, caller)
+    located = caller.may("location.read")
+    with database.reading() as session:
+        rows = whole(session, caller.organisation_id, wanted, now=now)
+    sink = io.StringIO()
+    out = csv.writer(sink, lineterminator="\r\n")
+    head = [
+        "vehicle",
+        "plate",
+        "class",
+        "box",
+        "state",
+        "percent",
+        "sigma_deg",
+        "distance_km",
+        "driving_h",
+        "last_seen",
+    ]
+    out.writerow([*head, *(("lat_deg", "lon_deg") if located else ())])
+    for row in rows:
+        out.writerow(
+            [
+                _cell(row.vehicle_name),
+                _cell(row.plate),
+                row.vehicle_class or "",
+                _cell(row.device_name),
+                row.standing.headline,
+                row.standing.percent if row.device_id else "",
+                "" if row.standing.sigma_deg is None else round(row.standing.sigma_deg, 2),
+                round(row.distance_m / 1000.0, 3),
+                round(row.moving_s / 3600.0, 3),
+                "" if row.last_seen_at is None else row.last_seen_at.isoformat(),
+                *((row.lat_deg, row.lon_deg) if located else ()),
+            ]
+        )
+    headers = {"Content-Disposition": f'attachment; filename="fleet-{now:%Y%m%d-%H%M}.csv"'}
+    return Response(sink.getvalue(), media_type="text/csv; charset=utf-8", headers=headers)
+
+
+def _cell(text: str | None) -> str:
+    """A name as a spreadsheet takes it for text, never for a formula."""
+    text = text or ""
+    return f"'{text}" if text.startswith(("=", "+", "-", "@", "\t", "\r")) else text
+
+
+@router.get("/fleet/places")
+def fleet_places(
+    request: Request, caller: LocationReader, database: DatabaseOf, now: Now, wanted: WantedOf
+) -> Response:
+    """Where the rows of the list are, for the map: id, address, name, mark, words, latitude, longitude."""
+    said = catalogue(frame.language_of(request)).gettext
+    with database.reading() as session:
+        rows = places(session, caller.organisation_id, wanted, now=now)
+    found: list[tuple[object, ...]] = []
+    for row in rows:
+        how = row.standing
+        words = f"{said(how.headline)} {how.percent} %" if how.percent_says else said(how.headline)
+        found.append((row.device_id, row.url, row.name, row.mark, words, row.lat_deg, row.lon_deg))
+    return Response(orjson.dumps(found), media_type="application/json")
+
+
+@router.post("/views")
+def keep_view(
+    caller: Reader,
+    database: DatabaseOf,
+    page: Annotated[str, Form(pattern="^(fleet|vehicles)$")],
+    name: Annotated[str, Form(min_length=1, max_length=60)],
+    query: Annotated[str, Form(max_length=500)] = "",
+    forget: Annotated[bool, Form()] = False,
+) -> Response:
+    """Keep the list as it is shown under a name, or forget one."""
+    kept = caller.preferences
+    changed = kept.without_view(page, name) if forget else kept.with_view(View(page, name.strip(), query.lstrip("?")))
+    with database.transaction() as session:
+        keep_preferences(session, caller, changed)
+    return RedirectResponse(
+        ("/" if page == "fleet" else "/vehicles") + ("" if forget else f"?{query.lstrip('?')}"), 303
+    )

@@ -1,0 +1,65 @@
+"""What stands around every page: its sections, and the words and units of whoever reads it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from starlette.requests import HTTPConnection
+
+from server.accounts.caller import Caller
+from server.accounts.permissions import Permission
+from server.accounts.preferences import Language, Preferences, Units, preferred
+from server.wording import marked
+
+
+@dataclass(frozen=True)
+class Section:
+    """An entry of the rail; a phone's bar has the first `ON_PHONE` that somebody may see, the rest under "More"."""
+
+    key: str
+    href: str
+    icon: str
+    words: str
+    permission: Permission = "fleet.read"
+
+
+SECTIONS = (
+    Section("fleet", "/", "map", marked("Fleet")),
+    Section("vehicles", "/vehicles", "car", marked("Vehicles")),
+    Section("events", "/events", "impact", marked("Events")),
+    Section("users", "/users", "people", marked("People"), "users.manage"),
+    Section("audit", "/audit", "list", marked("Audit"), "audit.read"),
+)
+ON_PHONE = 3
+
+
+@dataclass(frozen=True)
+class Measures:
+    """Units of length and speed as they are shown; everything else is the same everywhere."""
+
+    speed: str
+    per_mps: float
+    distance: str
+    per_m: float
+
+
+MEASURES: dict[Units, Measures] = {
+    "metric": Measures("km/h", 3.6, "km", 1e-3),
+    "imperial": Measures("mph", 3600.0 / 1609.344, "mi", 1.0 / 1609.344),
+}
+
+
+def sections(caller: Caller) -> list[Section]:
+    """The sections that the caller may see."""
+    return [section for section in SECTIONS if caller.may(section.permission)]
+
+
+def preferences_of(connection: HTTPConnection) -> Preferences:
+    """What the caller chose; nothing where nobody is signed in."""
+    caller: Caller | None = getattr(connection.state, "caller", None)
+    return Preferences() if caller is None else caller.preferences
+
+
+def language_of(connection: HTTPConnection) -> Language:
+    """The language that the account says, else the browser's."""
+    return preferences_of(connection).language or preferred(connection.headers.get("accept-language", ""))

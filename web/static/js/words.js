@@ -1,0 +1,14 @@
+// What scripts say, in the reader's language: English as it stands in the code, else what the page brought along.
+
+/** @type {Record<string, string>} */
+const found = JSON.parse(document.querySelector('meta[name="words"]')?.getAttribute("content") ?? "{}");
+
+export const LANGUAGE = document.documentElement.lang === "it" ? "it-IT" : "en-GB";
+
+/** @param {string} words @param {Record<string, string | number>} [values] put in for {name} */
+export function t(words, values = {}) {
+  return (found[words] ?? words).replace(/\{(\w+)\}/g, (_, name) => String(values[name] ?? ""));
+}
+
+const imperial = document.documentElement.dataset.units === "imperial";
+export const SPEED = imperial ? { unit: "mph", perMps: 3600 / 1609.344 } : { unit: "km/h", perMps: 3.6 };
