@@ -2,6 +2,7 @@
 
 from server.models.access import SignInCode, ViewTicket, WebSession
 from server.models.account import ApiKey, AuditEntry, User
+from server.models.analysis import Analysis
 from server.models.base import Base, new_id
 from server.models.batch import Batch, BatchDigest, SequenceRun
 from server.models.change import Change
@@ -13,6 +14,7 @@ from server.models.trip import TrackPoint, Trip
 from server.models.vehicle import Assignment, Vehicle
 
 __all__ = [
+    "Analysis",
     "ApiKey",
     "Assignment",
     "AuditEntry",

@@ -7,7 +7,7 @@ import datetime as dt
 from sqlalchemy import exists, or_, select
 
 from server.database import Database
-from server.models import Batch
+from server.models import Analysis, Batch
 from server.store.blobs import BlobStore
 
 
@@ -30,7 +30,10 @@ def _has_row(database: Database, key: str) -> bool:
     device_id = rest.partition("/")[0]
     # By device first: the blob columns have no index of their own, and need none for this.
     of_device = Batch.organisation_id == organisation_id, Batch.device_id == device_id
+    of_analysis = Analysis.organisation_id == organisation_id, or_(
+        Analysis.input_key == key, Analysis.result_key == key
+    )
     with database.reading() as session:
-        return bool(
-            session.scalar(select(exists().where(*of_device, or_(Batch.blob_key == key, Batch.body_key == key))))
-        )
+        if session.scalar(select(exists().where(*of_device, or_(Batch.blob_key == key, Batch.body_key == key)))):
+            return True
+        return bool(session.scalar(select(exists().where(*of_analysis))))
