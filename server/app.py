@@ -18,6 +18,7 @@ from server.accounts import user_routes as users
 from server.accounts.audit import RecentLooks
 from server.accounts.gate import AccessGate
 from server.accounts.service import ensure_organisation
+from server.analyses import routes as analyses
 from server.database import Database
 from server.devices import box_routes as boxes
 from server.devices import routes as devices
@@ -119,6 +120,7 @@ def create_app(settings: Settings, *, clock: Clock = utc_now) -> FastAPI:
         evidence,
         live,
         signals,
+        analyses,
         tickets,
         replay,
         proxy,
@@ -131,7 +133,7 @@ def create_app(settings: Settings, *, clock: Clock = utc_now) -> FastAPI:
     app.mount("/static", StaticFiles(directory=folder("web") / "static", check_dir=False))
 
     # The last that is added is the outermost.
-    app.add_middleware(BodyLimit, max_bytes=MAX_JSON_BYTES, except_paths=frozenset({ingest.PATH}))
+    app.add_middleware(BodyLimit, max_bytes=MAX_JSON_BYTES, except_paths=frozenset({ingest.PATH, analyses.PATH}))
     app.add_middleware(AccessGate)
     app.add_middleware(SecurityHeaders, settings=settings)
     app.add_middleware(RequestTelemetry, telemetry=telemetry)

@@ -160,9 +160,7 @@ def renew(session: Session, analysis_id: str, attempt: int, *, now: dt.datetime)
     return _changed(session, _held(analysis_id, attempt).values(leased_until=now + LEASE))
 
 
-def report(
-    session: Session, row: Analysis, attempt: int, stage: str, progress: float, *, now: dt.datetime
-) -> bool:
+def report(session: Session, row: Analysis, attempt: int, stage: str, progress: float, *, now: dt.datetime) -> bool:
     """Say how far an analysis is; False as for `renew`."""
     held = _changed(session, _held(row.id, attempt).values(stage=stage[:200], progress=min(max(progress, 0.0), 1.0)))
     if held:
@@ -188,4 +186,3 @@ def _held(analysis_id: str, attempt: int) -> Any:
 
 def _changed(session: Session, statement: Any) -> bool:
     return cast("CursorResult[Any]", session.execute(statement)).rowcount == 1
-

@@ -110,6 +110,7 @@ def run_consumer(
     settings: Settings, *, stop: threading.Event, clock: Clock, queue: str = QUEUE, bursts: str = BURSTS
 ) -> None:
     """Work off what the queue brings, and send again what stays due, until told to stop."""
+    from server.jobs.analyses import start_analyses
     from server.jobs.work import bring_up_to_date
     from server.jobs.worker import start_housekeeping, start_sealing
 
@@ -129,6 +130,7 @@ def run_consumer(
     worker.start()
     keeper = start_housekeeping(database, store, stop=stop, clock=clock)
     sealer = start_sealing(database, settings, stop=stop, clock=clock)
+    analyst = start_analyses(settings, database, stop=stop, clock=clock)
     sweep = Sweep(database, broker, queue, clock)
     try:
         while not stop.wait(SWEEP_S):
@@ -138,6 +140,7 @@ def run_consumer(
         worker.stop(timeout=STOP_MS)
         broker.close()
         keeper.join()
+        analyst.join()
         if sealer is not None:
             sealer.join()
         database.dispose()

@@ -13,6 +13,7 @@ from types import FrameType
 import structlog
 
 from server.database import Database
+from server.jobs.analyses import start_analyses
 from server.jobs.due import burst_devices, due_devices
 from server.jobs.supervise import parent_fd
 from server.migrations import is_current
@@ -78,6 +79,7 @@ def run_worker(
     database, store = Database(settings), open_store(settings)
     keeper = start_housekeeping(database, store, stop=stop, clock=clock)
     sealer = start_sealing(database, settings, stop=stop, clock=clock)
+    analyst = start_analyses(settings, database, stop=stop, clock=clock)
     rounds = Rounds(database, store, clock)
     try:
         while not stop.is_set():
@@ -86,6 +88,7 @@ def run_worker(
     finally:
         stop.set()
         keeper.join()
+        analyst.join()
         if sealer is not None:
             sealer.join()
         database.dispose()

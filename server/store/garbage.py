@@ -30,8 +30,9 @@ def _has_row(database: Database, key: str) -> bool:
     device_id = rest.partition("/")[0]
     # By device first: the blob columns have no index of their own, and need none for this.
     of_device = Batch.organisation_id == organisation_id, Batch.device_id == device_id
-    of_analysis = Analysis.organisation_id == organisation_id, or_(
-        Analysis.input_key == key, Analysis.result_key == key
+    of_analysis = (
+        Analysis.organisation_id == organisation_id,
+        or_(Analysis.input_key == key, Analysis.result_key == key),
     )
     with database.reading() as session:
         if session.scalar(select(exists().where(*of_device, or_(Batch.blob_key == key, Batch.body_key == key)))):

@@ -147,9 +147,8 @@ def _until(drive: Drive, end: float) -> Drive:
     """The drive as it was known at `end`."""
     inertial, n = drive.inertial, int(np.searchsorted(drive.inertial.t, end, side="right"))
     cut = {name: None if (v := getattr(inertial, name)) is None else v[:n] for name in ("w", "m", "temp")}
-    return replace(
-        drive, inertial=Inertial(inertial.t[:n], inertial.f[:n], **cut), gnss=fixes_where(drive.gnss, drive.gnss.t <= end)
-    )
+    gnss = fixes_where(drive.gnss, drive.gnss.t <= end)
+    return replace(drive, inertial=Inertial(inertial.t[:n], inertial.f[:n], **cut), gnss=gnss)
 
 
 def _moment(t: float, estimate: MountingEstimate) -> list[Moment]:

@@ -55,9 +55,7 @@ def analyse(
     return {"file": name, "remarks": [remark.detail for remark in recording.remarks], **found}
 
 
-def _calibration(
-    told: Any, recording: Columns, name: str, progress: Callable[[str, float], None]
-) -> dict[str, Any]:
+def _calibration(told: Any, recording: Columns, name: str, progress: Callable[[str, float], None]) -> dict[str, Any]:
     from server.analyses.compute.calibration import calibrate
 
     if isinstance(told, kinds.Magnetometer):

@@ -10,7 +10,17 @@ import numpy as np
 
 from nav_core.earth import radii
 from nav_core.mounting import estimate_mounting
-from nav_core.navigation import Solution, Vehicle, hidden, inside, miss, navigate, navigate_without_gyro, outages, radius
+from nav_core.navigation import (
+    Solution,
+    Vehicle,
+    hidden,
+    inside,
+    miss,
+    navigate,
+    navigate_without_gyro,
+    outages,
+    radius,
+)
 from nav_core.records import Drive
 from nav_core.timebase import Gap
 from nav_core.typing import Floats
