@@ -34,6 +34,7 @@ from server.migrations import is_current
 from server.pages import accounts as account_pages
 from server.pages import fleet_routes, templating
 from server.pages import routes as pages
+from server.pages import workbench as workbench_pages
 from server.reports import routes as reports
 from server.resources import folder
 from server.settings import Settings
@@ -127,6 +128,7 @@ def create_app(settings: Settings, *, clock: Clock = utc_now) -> FastAPI:
         pages,
         fleet_routes,
         account_pages,
+        workbench_pages,
     ):
         app.include_router(part.router, responses=problems.described(401, 403, 404, 422))
     app.mount("/static/vendor", StaticFiles(directory=folder("web") / "vendor", check_dir=False))

@@ -119,10 +119,15 @@ def cancel(session: Session, organisation_id: str, analysis_id: str, *, now: dt.
     return row
 
 
+def may_delete(caller: Caller, row: Analysis) -> bool:
+    """Whether an analysis is the caller's own, or the caller an administrator."""
+    return caller.may("fleet.write") or (caller.user_id is not None and caller.user_id == row.user_id)
+
+
 def delete(session: Session, caller: Caller, analysis_id: str, *, now: dt.datetime) -> None:
     """Throw an analysis away, one's own or as an administrator; its files are collected within a day."""
     row = queries.analysis_of(session, caller.organisation_id, analysis_id)
-    if not (caller.may("fleet.write") or (caller.user_id is not None and caller.user_id == row.user_id)):
+    if not may_delete(caller, row):
         raise ForbiddenError("Only who asked for an analysis, or an administrator, may delete it")
     if row.status in ("waiting", "running"):
         raise ConflictError("Cancel the analysis before you delete it", code="analysis_open")

@@ -104,6 +104,7 @@ def _column_json(unit: str, fit: NoiseFit, terms: str) -> dict[str, Any]:
         "sigma": fit.curve.sigma.tolist(),
         "sigma_low95": low.tolist(),
         "sigma_high95": high.tolist(),
+        "sigma_model": fit.coefficients.allan_deviation(fit.curve.tau).tolist(),
         "freedom": fit.freedom.tolist(),
         "likelihood": fit.likelihood,
     }

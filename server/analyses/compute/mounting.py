@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
-from typing import Any, Literal, NamedTuple
+from dataclasses import fields, replace
+from typing import Any, Literal, NamedTuple, TypeVar
 
 import numpy as np
 
 from nav_core.errors import TooLittleDataError
 from nav_core.mounting import estimate_mounting
 from nav_core.mounting.online import advance, begin
-from nav_core.mounting.online_stream import chunks_of, fixes_where
+from nav_core.mounting.online_stream import chunks_of
 from nav_core.mounting.online_verdict import assess
 from nav_core.mounting.thesis import ThesisRun, run_thesis
 from nav_core.mounting.thesis_kernel import N_STATES
-from nav_core.records import Drive, Inertial, MountingEstimate, MountingMethod
+from nav_core.records import Drive, Gnss, Inertial, MountingEstimate, MountingMethod
 from nav_core.rotation import angle_between, error_between, matrix_to_thesis, quaternion_to_matrix, rotvec_to_matrix
 from nav_core.typing import Floats
 from server.installations.result import mount_json
@@ -26,6 +26,7 @@ LOOKS = {"whole-drive": 16, "two-phase": 40, "online": 120}
 DRAWN = 400
 _STEP = 1e-4
 
+R = TypeVar("R", Inertial, Gnss)
 Progress = Callable[[str, float], None]
 
 
@@ -68,6 +69,7 @@ def compare(
     return {
         "reference": {
             "R_va": None if known is None else known.tolist(),
+            "euler_deg": None if known is None else np.degrees(matrix_to_thesis(known)).tolist(),
             "from": "none" if known is None else "given" if reference is not None else "estimate",
         },
         "methods": {name: _told(one, moments, known) for name, (one, moments) in found.items()},
@@ -80,7 +82,7 @@ def _best(estimates: dict[str, MountingEstimate]) -> Floats | None:
     known = {name: one for name, one in estimates.items() if one.R_va is not None and one.sigma is not None}
     if not known:
         return None
-    return known.get("whole-drive", min(known.values(), key=lambda one: float(np.max(one.sigma or 0.0)))).R_va
+    return known.get("whole-drive", min(known.values(), key=lambda one: float(np.max(one.sigma)))).R_va
 
 
 def _thesis(drive: Drive) -> ThesisRun | None:
@@ -145,10 +147,13 @@ def _span(drive: Drive) -> tuple[float, float]:
 
 def _until(drive: Drive, end: float) -> Drive:
     """The drive as it was known at `end`."""
-    inertial, n = drive.inertial, int(np.searchsorted(drive.inertial.t, end, side="right"))
-    cut = {name: None if (v := getattr(inertial, name)) is None else v[:n] for name in ("w", "m", "temp")}
-    gnss = fixes_where(drive.gnss, drive.gnss.t <= end)
-    return replace(drive, inertial=Inertial(inertial.t[:n], inertial.f[:n], **cut), gnss=gnss)
+    return replace(drive, inertial=_cut(drive.inertial, end), gnss=_cut(drive.gnss, end))
+
+
+def _cut(record: R, end: float) -> R:
+    rows = int(np.searchsorted(record.t, end, side="right"))
+    columns = {each.name: getattr(record, each.name) for each in fields(record)}
+    return replace(record, **{name: None if values is None else values[:rows] for name, values in columns.items()})
 
 
 def _moment(t: float, estimate: MountingEstimate) -> list[Moment]:

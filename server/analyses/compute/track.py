@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,6 +22,7 @@ from nav_core.navigation import (
     outages,
     radius,
 )
+from nav_core.navigation.fixes import Receiver, reports
 from nav_core.records import Drive
 from nav_core.timebase import Gap
 from nav_core.typing import Floats
@@ -28,6 +30,8 @@ from server.installations.result import mount_json
 
 DRAWN = 1500
 """Moments of a track that a document has."""
+CHI2_95 = -2.0 * math.log(0.05)
+"""Of two degrees of freedom."""
 NAMES = ("lat", "lon", "alt", "vn", "ve", "vd", "roll", "pitch", "yaw")
 
 
@@ -151,7 +155,7 @@ def rehearse(
     north, east = _plane(drive.gnss.lat[fixes], drive.gnss.lon[fixes], origin)
     return {
         **report_of(solution, spans, mounting),
-        "rehearsal": None if span is None else _cost(drive, solution, span),
+        "rehearsal": None if span is None else _cost(drive, solution, span, mounting.speed_lag),
         "gps": {"t_s": _some(drive.gnss.t[fixes]), "north_m": _some(north), "east_m": _some(east)},
         "track": _drawn(solution, origin),
     }
@@ -167,30 +171,38 @@ def _within(drive: Drive, outage: tuple[float, float]) -> tuple[float, float]:
     return begin, end
 
 
-def _cost(drive: Drive, solution: Solution, span: tuple[float, float]) -> dict[str, Any]:
+def _cost(drive: Drive, solution: Solution, span: tuple[float, float], speed_lag: float) -> dict[str, Any]:
+    """Errors against the withheld fixes, which have errors of their own: both together are what a miss is held against.
+
+    A fix counts at the moment it describes, which is before its stamp by the receiver's lag.
+    """
     gnss = drive.gnss
-    rows = gnss.fix & np.isfinite(gnss.lat) & (gnss.t >= max(span[0], solution.t[0]))
-    rows &= gnss.t < min(span[1], solution.t[-1])
+    withheld = replace(gnss, fix=gnss.fix & (gnss.t >= span[0]) & (gnss.t < span[1]))
+    seen = reports(withheld, Receiver(), speed_lag=speed_lag)
+    rows = (seen.t >= solution.t[0]) & (seen.t <= solution.t[-1])
     if not rows.any():
         raise ValueError("The chosen outage has no fix in it that could tell how well the track does without")
-    found = miss(solution, gnss.t[rows], gnss.lat[rows], gnss.lon[rows])
+    found = miss(solution, seen.t[rows], seen.z[rows, 0], seen.z[rows, 1])
     values, axes = np.linalg.eigh(found.P)
-    scale = -2.0 * math.log(0.05)  # chi-square with two degrees of freedom, 95 %
-    half = np.sqrt(scale * np.maximum(values, 0.0))
+    own = np.sqrt(CHI2_95 * np.maximum(values, 0.0))
+    fix = seen.noise[rows, 0, 0]
+    together = found._replace(P=found.P + fix[:, None, None] * np.eye(2))
     return {
         "begin_s": span[0],
         "end_s": span[1],
-        "t_s": gnss.t[rows].tolist(),
+        "t_s": seen.t[rows].tolist(),
         "error_m": found.distance.tolist(),
+        "fix_sigma_m": np.sqrt(fix).tolist(),
+        "with_fix95_m": np.sqrt(CHI2_95 * np.linalg.eigvalsh(together.P)[:, 1]).tolist(),
         "ellipse95": {
-            "long_m": half[:, 1].tolist(),
-            "short_m": half[:, 0].tolist(),
+            "long_m": own[:, 1].tolist(),
+            "short_m": own[:, 0].tolist(),
             "axis_rad": np.arctan2(axes[:, 1, 1], axes[:, 0, 1]).tolist(),
         },
-        "inside95": float(inside(found).mean()),
+        "inside95": float(inside(together).mean()),
         "largest_error_m": float(found.distance.max()),
         "error_at_end_m": float(found.distance[-1]),
-        "radius95_at_end_m": float(half[-1, 1]),
+        "radius95_at_end_m": float(own[-1, 1]),
     }
 
 
