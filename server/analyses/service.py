@@ -98,13 +98,13 @@ def _new(caller: Caller, kind: Kind, name: str, parameters: dict[str, Any], now:
 def _added(session: Session, row: Analysis, now: dt.datetime) -> Analysis:
     session.add(row)
     session.flush()
-    tell(session, row, now=now)
+    tell(session, row, row.status, now=now)
     return row
 
 
-def tell(session: Session, row: Analysis, *, now: dt.datetime) -> None:
+def tell(session: Session, row: Analysis, status: str, *, now: dt.datetime) -> None:
     """Announce how an analysis stands."""
-    data = {"analysis_id": row.id, "status": row.status}
+    data = {"analysis_id": row.id, "status": status}
     announce(session, "analysis", at=now, organisation_id=row.organisation_id, data=data)
 
 
@@ -115,7 +115,7 @@ def cancel(session: Session, organisation_id: str, analysis_id: str, *, now: dt.
     open_still = update(Analysis).where(Analysis.id == row.id, Analysis.status.in_(("waiting", "running")))
     if _changed(session, open_still.values(status="cancelled", stage="", finished_at=now, leased_until=None)):
         session.refresh(row)
-        tell(session, row, now=now)
+        tell(session, row, row.status, now=now)
     return row
 
 
@@ -131,8 +131,7 @@ def delete(session: Session, caller: Caller, analysis_id: str, *, now: dt.dateti
         raise ForbiddenError("Only who asked for an analysis, or an administrator, may delete it")
     if row.status in ("waiting", "running"):
         raise ConflictError("Cancel the analysis before you delete it", code="analysis_open")
-    row.status = "deleted"
-    tell(session, row, now=now)
+    tell(session, row, "deleted", now=now)
     session.delete(row)
 
 
@@ -146,13 +145,13 @@ def claim(session: Session, analysis_id: str, *, now: dt.datetime) -> Analysis |
         return None
     if row.attempts >= ATTEMPTS:
         row.status, row.error, row.finished_at = "failed", STOPPED.format(row.attempts), now
-        tell(session, row, now=now)
+        tell(session, row, row.status, now=now)
         return None
     row.status, row.progress, row.stage = "running", 0.0, ""
     row.attempts += 1
     row.leased_until = now + LEASE
     session.flush()
-    tell(session, row, now=now)
+    tell(session, row, row.status, now=now)
     return row
 
 
@@ -169,7 +168,7 @@ def report(session: Session, row: Analysis, attempt: int, stage: str, progress: 
     """Say how far an analysis is; False as for `renew`."""
     held = _changed(session, _held(row.id, attempt).values(stage=stage[:200], progress=min(max(progress, 0.0), 1.0)))
     if held:
-        tell(session, row, now=now)
+        tell(session, row, "running", now=now)
     return held
 
 
@@ -178,8 +177,7 @@ def finish(session: Session, row: Analysis, attempt: int, values: dict[str, Any]
     done = {"finished_at": now, "leased_until": None, "stage": "", **values}
     if not _changed(session, _held(row.id, attempt).values(**done)):
         return False
-    session.refresh(row)
-    tell(session, row, now=now)
+    tell(session, row, values["status"], now=now)
     return True
 
 

@@ -25,7 +25,6 @@ UNITS = {
     "course": "deg",
     "alt": "m",
     "battery": "V",
-    **dict.fromkeys(("fix", "sats", "hdop"), ""),
 }
 TRIADS = (("fx", "fy", "fz"), ("wx", "wy", "wz"), ("mx", "my", "mz"))
 GAP_S = 2.0

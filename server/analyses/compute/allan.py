@@ -29,7 +29,7 @@ def allan(
     *,
     terms: str = "NBK",
     rate: float | None = None,
-    shortest: float | None = None,
+    shortest: float = 0.0,
     progress: Callable[[str, float], None],
 ) -> Fitted:
     """Fit every axis that has samples.

@@ -79,10 +79,11 @@ def compare(
 
 def _best(estimates: dict[str, MountingEstimate]) -> Floats | None:
     """The whole drive's mounting, else that of the smallest sigma."""
-    known = {name: one for name, one in estimates.items() if one.R_va is not None and one.sigma is not None}
-    if not known:
-        return None
-    return known.get("whole-drive", min(known.values(), key=lambda one: float(np.max(one.sigma)))).R_va
+    known = {name: (one.R_va, one.sigma) for name, one in estimates.items()}
+    if "whole-drive" in known and known["whole-drive"][0] is not None:
+        return known["whole-drive"][0]
+    sure = [(float(sigma.max()), R_va) for R_va, sigma in known.values() if R_va is not None and sigma is not None]
+    return min(sure, key=lambda one: one[0])[1] if sure else None
 
 
 def _thesis(drive: Drive) -> ThesisRun | None:

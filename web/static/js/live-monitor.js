@@ -8,7 +8,7 @@ import { formatter } from "./time.js";
 import { SPEED, t } from "./words.js";
 
 /** @typedef {(number | null)[]} Column */
-const KEEP_S = 300, FRAME_MS = 50, HEIGHT = 170, MANY = 20000, GAP_S = 2, STEPS = 5;
+const KEEP_S = 300, FRAME_MS = 50, HEIGHT = 170, MANY = 20000, GAP_S = 2;
 /** Without a word for so long the stream is taken up anew, from its newest end. */
 const STALE_S = 600;
 const AXES = ["axis-x", "axis-y", "axis-z"];
@@ -18,8 +18,8 @@ const GROUPS = { f: ["fx", "fy", "fz"], speed: ["speed"], w: ["wx", "wy", "wz"],
 class LiveMonitor extends HTMLElement {
   /** @type {Record<string, Column[]>} times, s, and values of each group */ #data = {};
   /** @type {Record<string, uPlot>} */ #plots = {};
-  /** @type {Record<string, {t: Float64Array, values: Float32Array}>} the last answer's columns */ #last = {};
   #window = 30;
+  /** How much of the past is here, s. */ #span = 0;
   #newest = 0;
   #arrived = 0;
   #contact = 0;
@@ -49,9 +49,9 @@ class LiveMonitor extends HTMLElement {
   async #fetch() {
     if (this.#asking) { this.#again = true; return; }
     this.#asking = true;
-    const fresh = !this.#newest || Date.now() / 1000 - this.#newest > STALE_S;
-    const query = new URLSearchParams({ columns: [...Object.values(GROUPS).flat(), "fix", "sats", "hdop"].join(","), points: String(MANY) });
-    if (fresh) query.set("seconds", String(KEEP_S));
+    const fresh = this.#window > this.#span || Date.now() / 1000 - this.#newest > STALE_S;
+    const query = new URLSearchParams({ columns: String(Object.values(GROUPS).flat()), points: String(MANY) });
+    if (fresh) query.set("seconds", String(this.#window));
     else {
       query.set("from", new Date(this.#newest * 1000).toISOString());
       query.set("to", new Date((Math.max(this.#newest, Date.now() / 1000) + STALE_S) * 1000).toISOString());
@@ -72,7 +72,7 @@ class LiveMonitor extends HTMLElement {
   #take(body, fresh) {
     const { header, series } = decode(body);
     const t0 = Date.parse(header.t0) / 1000, since = this.#newest;
-    if (fresh) this.#data = {};
+    if (fresh) { this.#data = {}; this.#span = this.#window; }
     for (const [group, names] of Object.entries(GROUPS)) {
       const columns = (this.#data[group] ??= [[], ...names.map(() => [])]), times = /** @type {number[]} */ (columns[0]);
       const first = series[names[0] ?? ""];
@@ -94,37 +94,21 @@ class LiveMonitor extends HTMLElement {
       this.#plots[group]?.setData(/** @type {uPlot.AlignedData} */ (columns), false);
     }
     if (this.#newest > since) this.#arrived = performance.now();
-    if (series.fix?.t.length) this.#last = { fix: series.fix, ...(series.sats && { sats: series.sats }), ...(series.hdop && { hdop: series.hdop }) };
-    this.#figures();
+    this.#values();
   }
 
-  /** Of the stretch in view: how regular the samples are and what is missing among them. */
-  #figures() {
-    const [times = [], x = []] = this.#data.f ?? [], from = this.#newest - this.#window;
-    const at = /** @type {number[]} */ (times.filter((s, row) => s !== null && s >= from && x[row] !== null));
-    const steps = at.slice(1).map((s, row) => s - (at[row] ?? s));
-    const usual = [...steps].sort((a, b) => a - b)[steps.length >> 1] ?? NaN;
-    const wide = steps.filter((s) => s > STEPS * usual), even = steps.filter((s) => s <= STEPS * usual);
-    const mean = even.reduce((sum, s) => sum + s, 0) / even.length;
-    this.#put("rate", 1 / mean, 1);
-    this.#put("jitter", 1000 * Math.sqrt(even.reduce((sum, s) => sum + (s - mean) ** 2, 0) / even.length), 2);
-    this.#put("gaps", steps.length ? wide.length : NaN, 0);
-    this.#put("missing", steps.length ? wide.reduce((sum, s) => sum + s - usual, 0) : NaN, 1);
-    const { fix, sats, hdop } = this.#last;
-    const good = fix ? [...fix.t].filter((_, row) => fix.values[row] === 1) : [];
-    this.#put("gps", (good.length - 1) / ((good.at(-1) ?? NaN) - (good[0] ?? NaN)), 1);
-    this.#put("sats", sats?.values.at(-1) ?? NaN, 0);
-    this.#put("hdop", hdop?.values.at(-1) ?? NaN, 1);
+  /** The newest values beside the names of the axes. */
+  #values() {
     for (const [group, names] of Object.entries(GROUPS)) names.forEach((name, k) => {
-      const place = this.querySelector(`[data-now="${names.length > 1 ? group + name.slice(-1) : group}"]`);
+      const place = this.querySelector(`[data-now="${name}"]`);
       if (place) place.textContent = this.#data[group]?.[k + 1]?.at(-1)?.toFixed(2) ?? "";
     });
   }
 
-  /** @param {string} name @param {number} value @param {number} digits */
-  #put(name, value, digits) {
-    const place = this.querySelector(`[data-figure="${name}"]`), words = Number.isFinite(value) ? value.toFixed(digits) : "–";
-    if (place && place.textContent !== words) place.textContent = words;
+  /** @param {string} name @param {number} since ms @param {number} digits */
+  #age(name, since, digits) {
+    const place = this.querySelector(`[data-age="${name}"]`);
+    if (place && since) place.textContent = ((Date.now() - since) / 1000).toFixed(digits);
   }
 
   /** @param {number} now */
@@ -133,8 +117,8 @@ class LiveMonitor extends HTMLElement {
     // No oftener than the picture moves by a pixel.
     if (now - this.#drawn < Math.max(FRAME_MS, (1000 * this.#window) / this.clientWidth) || !this.#newest) return;
     this.#drawn = now;
-    this.#put("age", Date.now() / 1000 - this.#newest, 1);
-    if (this.#contact) this.#put("contact", (Date.now() - this.#contact) / 1000, 0);
+    this.#age("sample", this.#newest * 1000, 1);
+    this.#age("contact", this.#contact, 0);
     const edge = this.#paused || this.#newest + Math.min((now - this.#arrived) / 1000, this.#window / 2);
     for (const group of Object.keys(GROUPS)) {
       const host = this.querySelector(`[data-group="${group}"]`);
@@ -165,7 +149,7 @@ class LiveMonitor extends HTMLElement {
     if (choice === "window") {
       this.#window = Number(button.value);
       for (const one of button.parentElement?.children ?? []) one.setAttribute("aria-pressed", String(one === button));
-      return this.#figures();
+      return void this.#fetch();
     }
     button.setAttribute("aria-pressed", String(on));
     if (choice === "more") this.querySelector(`[data-group="${button.value}"]`)?.toggleAttribute("hidden", !on);
