@@ -22,7 +22,7 @@ from server.formats.columns import Columns
 from server.formats.drive import from_drive
 from server.formats.tables import write_csv
 from server.jobs.analyses import Runner, work_off
-from server.models import Analysis, AuditEntry, Batch, Change, Device
+from server.models import Analysis, AuditEntry, Change
 from server.store import collect
 from tests.recordings import folder
 
@@ -187,7 +187,7 @@ def test_there_is_an_end_to_what_an_organisation_keeps(admin, monkeypatch):
     assert ask(admin, "allan", b"x").status_code == 413
 
 
-def test_an_analysis_can_be_cancelled_and_deleted_and_its_blobs_go(admin, app, database, clock, work):
+def test_an_analysis_can_be_cancelled_and_deleted_and_its_blobs_go(admin, app, database, work):
     asked = ask(admin, "allan", noise().to_parquet()).json()
     path = f"{PATH}/{asked['id']}"
     assert admin.delete(path).status_code == 409
