@@ -73,12 +73,12 @@ def phase_data(path) -> None:
     path.write_bytes(Columns({"t": t, "wx": rate, "wy": rate, "wz": rate}).to_parquet())
 
 
-def analyse(page, kind: str, path, **settings: str) -> None:
+def analyse(page, kind: str, path, **typed: str) -> None:
     """Fill the form as a person does and wait for the result."""
     page.goto("/workbench")
     page.get_by_label("What").select_option(kind)
     page.get_by_label("File", exact=True).set_input_files(path)
-    for label, value in settings.items():
+    for label, value in typed.items():
         page.get_by_label(label).fill(value)
     page.get_by_role("button", name="Analyse", exact=True).click()
     expect(page).to_have_url(re.compile(r"/workbench/[0-9a-f]{32}$"))
@@ -87,7 +87,7 @@ def analyse(page, kind: str, path, **settings: str) -> None:
 
 @pytest.mark.usefixtures("worker")
 @pytest.mark.parametrize(
-    ("kind", "make", "settings", "figures", "words"),
+    ("kind", "make", "typed", "figures", "words"),
     [
         ("allan", rest_of_a_gyro, {"Rate in Hz, where the stamps are irregular": "99.32"}, 1, "Bias instability"),
         ("allan", phase_data, {}, 1, "rad/s/√Hz"),
@@ -97,12 +97,12 @@ def analyse(page, kind: str, path, **settings: str) -> None:
     ids=["gyro", "reference", "poses", "compass"],
 )
 def test_an_engineer_analyses_a_real_recording(
-    site, open_page, screenshot, tmp_path, kind, make, settings, figures, words
+    site, open_page, screenshot, tmp_path, kind, make, typed, figures, words
 ):
     path = tmp_path / f"{make.__name__}.parquet"
     make(path)
     page = open_page("/workbench")
-    analyse(page, kind, path, **settings)
+    analyse(page, kind, path, **typed)
     expect(page.locator("#heading")).to_contain_text("Done")
     expect(page.locator("#result")).to_contain_text(words)
     expect(page.locator("figure.graph")).to_have_count(figures)
