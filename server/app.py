@@ -39,6 +39,7 @@ from server.reports import routes as reports
 from server.resources import folder
 from server.settings import Settings
 from server.signals import routes as signals
+from server.signals.thin import Memory
 from server.store import open_store
 from server.telemetry import RequestTelemetry, Telemetry, log
 from server.trips import routes as trips
@@ -98,6 +99,7 @@ def create_app(settings: Settings, *, clock: Clock = utc_now) -> FastAPI:
     state.readiness = health.Readiness()
     state.telemetry = telemetry = Telemetry()
     state.recent_looks = RecentLooks()
+    state.thinned = Memory()
     state.login_attempts = TokenBuckets(accounts.LOGIN_ATTEMPTS_PER_MINUTE)
     state.claim_attempts = TokenBuckets(boxes.CLAIMS_PER_MINUTE)
     state.uploads = TokenBuckets(settings.device_requests_per_minute)

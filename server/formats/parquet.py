@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Sequence
 from typing import cast
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from nav_core.typing import Floats
 from server.errors import InvalidError
 from server.formats.columns import Columns
 from server.formats.parquet_check import check
@@ -32,6 +35,14 @@ def write(columns: Columns) -> bytes:
         store_schema=False,
     )
     return sink.getvalue()
+
+
+def read_columns(body: bytes, names: Sequence[str]) -> dict[str, Floats]:
+    """The clock and some columns of a file that `write` made, those of them that it has; NaN where not sampled."""
+    file = pq.ParquetFile(pa.BufferReader(body))
+    wanted = ["t", *(name for name in file.schema_arrow.names if name in names)]
+    table = file.read(columns=wanted, use_threads=False)
+    return {name: np.asarray(table.column(name).to_numpy(), dtype=np.float64) for name in wanted}
 
 
 def read(body: bytes, *, max_decoded_bytes: int | None) -> Columns:

@@ -22,6 +22,7 @@ from server.errors import InvalidError
 from server.installations.blank import blank_result
 from server.live.changes import announce
 from server.models import Device, DeviceState, Installation, Trip, new_id
+from server.wording import marked
 
 MANUAL_ALGORITHM = "manual/1"
 
@@ -61,10 +62,10 @@ def set_manual(
     """A mounting that somebody measured holds from `since` on, until the box is seen to move."""
     device = device_of(session, organisation_id, device_id, lock=True)
     if since > now:
-        raise InvalidError("`from` is in the future", code="future")
+        raise InvalidError(marked("`from` is in the future"), code="future")
     rows = _installations(session, device)
     if any(row.began_at >= since for row in rows):
-        raise InvalidError("The box moved or was swapped after `from`", code="superseded")
+        raise InvalidError(marked("The box moved or was swapped after `from`"), code="superseded")
     _end_at(rows, since)
     theta, phi, psi = np.degrees(matrix_to_thesis(np.asarray(R_va, dtype=np.float64))).tolist()
     result = {

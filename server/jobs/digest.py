@@ -61,12 +61,12 @@ def clock_pair(gnss: Gnss) -> tuple[float, float] | None:
     return float(np.median(t)), float(np.median(gnss.utc[known] - t))
 
 
-def digest_drive(drive: Drive) -> Digest:
-    """Condition the content of a batch."""
+def digest_drive(drive: Drive, battery_v: Floats | None = None) -> Digest:
+    """Condition the content of a batch; the battery is told beside it, for no estimate reads it."""
     return Digest(
         ticks=decimate(drive.inertial, TICK_RATE),
         gnss=drive.gnss,
-        health=_health(drive),
+        health={**_health(drive), "battery_v": _middle(battery_v)},
         remarks=tuple(remark.code for remark in drive.remarks),
     )
 
@@ -84,8 +84,18 @@ def _health(drive: Drive) -> dict[str, Any]:
         "gap_s": gap_s,
         "gnss_rate_hz": gnss_rate,
         "fix_share": float(gnss.fix.mean()) if gnss.t.size else None,
+        "hdop": _middle(gnss.hdop),
+        "sats": _middle(gnss.sats),
+        "temp_c": _middle(drive.inertial.temp),
         "moving_s": float(steps[moving[1:]].sum()),
     }
+
+
+def _middle(values: Floats | None) -> float | None:
+    """Median of what was sampled; None where nothing was."""
+    if values is None or not np.isfinite(values).any():
+        return None
+    return float(np.nanmedian(values))
 
 
 def _sampling(t: Floats) -> tuple[float | None, float | None, int, float]:

@@ -121,7 +121,7 @@ def read_batch(store: BlobStore, batch: Batch) -> Read:
         drive = to_drive(columns)
         if batch.stream != "continuous":
             return Read(None, columns=columns, clock_pair=clock_pair(drive.gnss))
-        return Read(digest_drive(drive), columns=columns)
+        return Read(digest_drive(drive, columns.values.get("battery")), columns=columns)
     except Exception as error:
         # Whatever a damaged blob raises must not stop the box.
         log.exception("batch cannot be decoded", batch_id=batch.id, device_id=batch.device_id)

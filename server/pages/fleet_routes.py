@@ -134,7 +134,8 @@ def fleet_places(
     for row in rows:
         how = row.standing
         words = f"{said(how.headline)} {how.percent} %" if how.percent_says else said(how.headline)
-        found.append((row.device_id, row.url, row.name, row.mark, words, row.lat_deg, row.lon_deg))
+        lat, lon = (round(degrees or 0.0, 5) for degrees in (row.lat_deg, row.lon_deg))  # a metre
+        found.append((row.device_id, row.url, row.name, row.mark, words, lat, lon))
     return Response(orjson.dumps(found), media_type="application/json")
 
 

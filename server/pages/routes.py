@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Form, Query, Request
+from sqlalchemy.orm import Session
 from starlette.responses import FileResponse, HTMLResponse, RedirectResponse, Response
 
 from server.accounts.access import Caller, Installer, Reader, Reviewer, look_at_places
+from server.database import Database
 from server.edge import DatabaseOf, Now, SettingsOf
 from server.errors import InvalidError, NotFoundError
 from server.events import service as events
@@ -39,11 +43,10 @@ def vehicle(
     trip: TripId = None,
 ) -> HTMLResponse:
     """A vehicle and the box in it."""
-    look_at_places(request, caller)
-    with database.reading() as session:
-        change = queries.last_change(session, caller.organisation_id)
-        page = queries.vehicle_page(session, caller.organisation_id, vehicle_id, now=now, trip_id=trip)
-    return answer(request, "vehicle.html", caller, "vehicles", change, _vehicle_context(page, settings))
+    read = partial(
+        queries.vehicle_page, organisation_id=caller.organisation_id, vehicle_id=vehicle_id, now=now, trip_id=trip
+    )
+    return _subject(request, caller, settings, database, read)
 
 
 @router.get("/devices/{device_id}")
@@ -57,11 +60,10 @@ def device(
     trip: TripId = None,
 ) -> HTMLResponse:
     """A box by itself, in a vehicle or not."""
-    look_at_places(request, caller)
-    with database.reading() as session:
-        change = queries.last_change(session, caller.organisation_id)
-        page = queries.device_page(session, caller.organisation_id, device_id, now=now, trip_id=trip)
-    return answer(request, "vehicle.html", caller, "vehicles", change, _vehicle_context(page, settings))
+    read = partial(
+        queries.device_page, organisation_id=caller.organisation_id, device_id=device_id, now=now, trip_id=trip
+    )
+    return _subject(request, caller, settings, database, read)
 
 
 @router.post("/devices/{device_id}/installation")
@@ -167,6 +169,21 @@ def hold(
     with database.transaction() as session:
         events.hold(session, caller.organisation_id, event_id, held=held, reason=reason, actor=caller.name, now=now)
     return RedirectResponse(f"/events/{event_id}", 303)
+
+
+def _subject(
+    request: Request,
+    caller: Caller,
+    settings: Settings,
+    database: Database,
+    read: Callable[[Session], queries.VehiclePage],
+) -> HTMLResponse:
+    """The page of a vehicle or of a box."""
+    look_at_places(request, caller)
+    with database.reading() as session:
+        change = queries.last_change(session, caller.organisation_id)
+        page = read(session)
+    return answer(request, "vehicle.html", caller, "vehicles", change, _vehicle_context(page, settings))
 
 
 def _vehicle_context(page: queries.VehiclePage, settings: Settings) -> dict[str, Any]:

@@ -42,7 +42,12 @@ def min_max(curve: Curve, points: int) -> Curve:
         return curve
     buckets = max(points // 2, 1)
     edges = np.linspace(curve.t[0], curve.t[-1], buckets + 1)[:-1]
-    starts = np.unique(np.searchsorted(curve.t, edges, side="left"))
+    return extremes(curve, np.unique(np.searchsorted(curve.t, edges, side="left")))
+
+
+def extremes(curve: Curve, starts: Integers) -> Curve:
+    """Two rows for each run of rows that begins at one of `starts`: the smallest values, then the largest."""
+    n = curve.t.size
     ends = np.append(starts[1:], n) - 1
     paired = ends > starts
     # A bucket of one row stays one row: times must increase.

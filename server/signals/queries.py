@@ -15,6 +15,9 @@ from server.models import Batch, Boot, Device, Installation
 MAX_ROWS = 2_000_000
 """About three hours at 200 Hz: what a request may read."""
 MAX_BATCHES = 3000
+MAX_COARSE_ROWS = 20_000_000
+"""A day at 200 Hz: for a chart that is drawn from thinned batches."""
+MAX_COARSE_BATCHES = 20_000
 
 
 @dataclass(frozen=True)
@@ -24,6 +27,8 @@ class Piece:
     blob_key: str
     utc_offset_s: float
     utc_drift: float
+    t_first_s: float
+    t_last_s: float
 
 
 @dataclass(frozen=True)
@@ -50,22 +55,27 @@ def newest(session: Session, device_id: str) -> dt.datetime | None:
     return None if boot is None else boot.utc(boot.t_last_s)
 
 
-def pieces(session: Session, device_id: str, begin: dt.datetime, end: dt.datetime) -> list[Piece]:
+def pieces(
+    session: Session, device_id: str, begin: dt.datetime, end: dt.datetime, *, coarse: bool = False
+) -> list[Piece]:
     """Batches of the continuous stream that reach into the window, in the order of time."""
+    max_rows, max_batches = (MAX_COARSE_ROWS, MAX_COARSE_BATCHES) if coarse else (MAX_ROWS, MAX_BATCHES)
     found: list[tuple[float, Piece]] = []
     rows = 0
     for boot in _boots(session, device_id, begin, end):
         statement = (
-            select(Batch.blob_key, Batch.rows, Batch.t_first_s)
+            select(Batch.blob_key, Batch.rows, Batch.t_first_s, Batch.t_last_s)
             .where(Batch.device_id == device_id, Batch.boot == boot.boot, Batch.stream == "continuous")
             .where(Batch.t_last_s >= boot.box_s(begin.timestamp()), Batch.t_first_s <= boot.box_s(end.timestamp()))
             .where(Batch.failure.is_(None))
-            .limit(MAX_BATCHES + 1)
+            .limit(max_batches + 1)
         )
-        for blob_key, count, t_first_s in session.execute(statement):
-            found.append((boot.unix_s(t_first_s), Piece(blob_key, boot.utc_offset_s, boot.utc_drift)))
+        for blob_key, count, t_first_s, t_last_s in session.execute(statement):
+            found.append(
+                (boot.unix_s(t_first_s), Piece(blob_key, boot.utc_offset_s, boot.utc_drift, t_first_s, t_last_s))
+            )
             rows += count
-        if rows > MAX_ROWS or len(found) > MAX_BATCHES:
+        if rows > max_rows or len(found) > max_batches:
             raise InvalidError(
                 "The window holds too many samples for one answer; ask for a shorter one", code="window_too_long"
             )

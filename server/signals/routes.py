@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import datetime as dt
-from typing import Annotated
+from typing import Annotated, cast
 
 import numpy as np
 import orjson
-from fastapi import APIRouter, Query
+from fastapi import APIRouter, Depends, Query, Request
 from starlette.responses import Response
 
 from server.accounts.access import RawReader
@@ -15,9 +15,16 @@ from server.edge import DatabaseOf, Now, StoreOf
 from server.errors import ForbiddenError, InvalidError
 from server.signals import queries, service
 from server.signals.service import UNITS, Frame, Signals, Window
+from server.signals.thin import Memory
 
 router = APIRouter(tags=["signals"])
 
+
+async def _memory(request: Request) -> Memory:
+    return cast("Memory", request.app.state.thinned)
+
+
+MemoryOf = Annotated[Memory, Depends(_memory)]
 MEDIA_TYPE = "application/octet-stream"
 
 
@@ -31,6 +38,7 @@ def get_signals(
     caller: RawReader,
     database: DatabaseOf,
     store: StoreOf,
+    memory: MemoryOf,
     now: Now,
     begin: Annotated[dt.datetime | None, Query(alias="from", description="default: `seconds` before the end")] = None,
     end: Annotated[dt.datetime | None, Query(alias="to", description="default: the newest sample")] = None,
@@ -59,9 +67,11 @@ def get_signals(
     with database.reading() as session:
         queries.require_device(session, caller.organisation_id, device_id)
         window = _window(begin, end or queries.newest(session, device_id) or now, seconds)
-        pieces = queries.pieces(session, device_id, window.begin, window.end)
+        coarse = service.is_coarse(window, points)
+        pieces = queries.pieces(session, device_id, window.begin, window.end, coarse=coarse)
         mountings = queries.mountings(session, device_id, window.begin, window.end) if frame == "v" else []
-    found = service.signals(store, pieces, mountings, window, names=columns.split(","), frame=frame, points=points)
+    names = columns.split(",")
+    found = service.signals(store, memory, pieces, mountings, window, names=names, frame=frame, points=points)
     return Response(_encode(found, window), media_type=MEDIA_TYPE)
 
 

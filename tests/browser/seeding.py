@@ -22,6 +22,7 @@ from server.models import (
     Device,
     DeviceState,
     Installation,
+    MountingRevision,
     TrackPoint,
     Trip,
     Vehicle,
@@ -71,6 +72,23 @@ PLANS = (
     Plan("Maserati Levante", "GG 707 ZZ", 45.4384, 10.9916, "ready", sigma_deg=(0.2, 0.3, 0.4), seen_ago_s=3 * 86400.0),
     Plan("Piaggio Porter", "GI 909 ZZ", 40.8518, 14.2681, None, seen_ago_s=None),
 )
+
+
+HEALTH = {
+    "rate_hz": 100.0,
+    "jitter_s": 0.0002,
+    "gaps": 1,
+    "gap_s": 0.4,
+    "gnss_rate_hz": 4.0,
+    "fix_share": 0.98,
+    "hdop": 0.9,
+    "sats": 11.0,
+    "temp_c": 31.5,
+    "battery_v": None,
+    "unreadable_batches": 0,
+    "utc_sigma_s": 0.04,
+    "remarks": ["rows_out_of_order"],
+}
 
 
 def urban_drive() -> Drive:
@@ -155,6 +173,7 @@ def _vehicle_and_box(session: Session, organisation_id: str, plan: Plan, number:
                 lon_deg=plan.lon_deg,
                 speed_mps=plan.speed_mps,
                 course_rad=0.5,
+                health=HEALTH,
             )
         )
     if plan.status is not None:
@@ -188,9 +207,30 @@ def _installations(session: Session, device: Device, plan: Plan, *, now: dt.date
             )
         )
     else:
-        session.add(
-            Installation(**common, status=plan.status, progress=plan.progress, beginning=plan.beginning, began_at=began)
+        installation = Installation(
+            id=new_id(),
+            **common,
+            status=plan.status,
+            progress=plan.progress,
+            beginning=plan.beginning,
+            began_at=began,
         )
+        session.add(installation)
+        session.flush()
+        for minute, sigma in enumerate((40.0, 22.0, 9.0, 4.0, 2.2, 1.3, 0.9, max(plan.sigma_deg))):
+            result = {**mount_result(plan), "sigma_deg": dict.fromkeys("xyz", sigma)}
+            row = {"status": plan.status, "progress": plan.progress, "algorithm": "whole-drive/1"}
+            at = began + dt.timedelta(minutes=4 * minute)
+            session.add(
+                MountingRevision(
+                    installation_id=installation.id,
+                    data_at=at,
+                    created_at=at,
+                    result=result,
+                    input_sha256="0" * 64,
+                    **row,
+                )
+            )
 
 
 def _raw_data(session: Session, store: BlobStore, device: Device, columns: Columns, *, now: dt.datetime) -> None:

@@ -15,6 +15,7 @@ from hypothesis.extra.numpy import arrays
 from server.formats.columns import Columns
 from server.models import Batch, Boot, Installation
 from server.signals.decimate import Curve, broken_at, gaps, min_max
+from server.signals.thin import BUCKET_S, Memory, thin
 from server.store import blob_key
 
 RATE_HZ = 50.0
@@ -228,3 +229,47 @@ def test_gaps_and_breaks():
     broken = broken_at(Curve(t, {"x": t}), gaps(t, at_least=2.0))
     np.testing.assert_array_equal(broken.t, [0.0, 0.1, 0.2, 2.6, 5.0, 5.1])
     assert np.flatnonzero(np.isnan(broken.columns["x"])).tolist() == [3]
+
+
+@given(
+    st.integers(2, 400).flatmap(
+        lambda n: st.tuples(
+            arrays(np.float64, n, elements=st.floats(0.001, 1.0)), arrays(np.float64, n, elements=st.floats(-1e3, 1e3))
+        )
+    )
+)
+def test_thinned_batches_keep_every_extreme(columns):
+    t, values = np.cumsum(columns[0]), columns[1]
+    thinned = thin(Curve(t, {"fx": values}))
+    assert np.all(np.diff(thinned.t) > 0.0)
+    assert set(thinned.columns["fx"]) <= set(values)
+    for second in np.unique(np.floor(t / BUCKET_S)):
+        inside = np.floor(t / BUCKET_S) == second
+        kept = thinned.columns["fx"][np.floor(thinned.t / BUCKET_S) == second]
+        assert kept.min() == values[inside].min()
+        assert kept.max() == values[inside].max()
+
+
+def test_a_coarse_window_shows_what_the_samples_show(box, admin):
+    """Sixty seconds in sixty points are drawn from thinned batches, in both frames, the second time from memory."""
+    for frame in ("a", "v"):
+        fine_header, fine = decode(admin.get(f"/api/v1/devices/{box[0]}/signals?frame={frame}&points=20000").content)
+        for _ in range(2):
+            header, coarse = decode(admin.get(f"/api/v1/devices/{box[0]}/signals?frame={frame}&points=60").content)
+            assert np.allclose(header["gaps"], fine_header["gaps"], atol=BUCKET_S)
+            for name in ("fx", "fy", "fz", "speed"):
+                assert np.nanmax(coarse[name][1]) == np.nanmax(fine[name][1])
+                assert np.nanmin(coarse[name][1]) == np.nanmin(fine[name][1])
+            assert coarse["fx"][0].size <= 60 + 3
+
+
+def test_memory_forgets_what_was_used_longest_ago():
+    memory = Memory(max_bytes=3000)
+    made = []
+
+    def part(name: str) -> Curve:
+        return memory.get(name, lambda: made.append(name) or Curve(np.arange(50.0), {"fx": np.zeros(50)}))
+
+    for name in ("a", "b", "a", "c", "a", "b"):
+        assert part(name).columns["fx"].dtype == np.float32
+    assert made == ["a", "b", "c", "b"]

@@ -357,6 +357,14 @@ BODIES = {
     "PUT /api/v1/events/{event_id}/review": {"verdict": "confirmed"},
     "PUT /api/v1/events/{event_id}/hold": {"held": True, "reason": "taken over"},
     "POST /events/{event_id}/review": {"verdict": "confirmed"},
+    "POST /devices/{device_id}/installation": {
+        "theta": "0",
+        "phi": "0",
+        "psi": "0",
+        "sigma": "1",
+        "reason": "taken over",
+        "back": "/devices/0",
+    },
     "POST /events/{event_id}/hold": {"held": "true", "reason": "taken over"},
 }
 QUERIES = {"/api/v1/events/{event_id}/diff": {"before": 1}}

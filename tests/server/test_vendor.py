@@ -44,3 +44,8 @@ def test_the_outline_is_geojson_on_the_globe():
         assert all(-540 <= lon <= 540 and -90 <= lat <= 90 for lon, lat in ring)
         jumps = [abs(b[0] - a[0]) for a, b in pairwise(ring) if a[1] != -90 or b[1] != -90]
         assert max(jumps) < 180
+
+
+def test_own_scripts_stay_small():
+    scripts = (folder("web") / "static" / "js").rglob("*.js")
+    assert sum(path.stat().st_size for path in scripts) <= 60 * 1024

@@ -5,39 +5,31 @@
 import * as maplibre from "../vendor/maplibre-gl/maplibre-gl.mjs";
 import { colour } from "./palette.js";
 
-/** @typedef {import("../vendor/maplibre-gl/maplibre-gl.mjs").StyleSpecification} Style */
-/** @typedef {import("../vendor/maplibre-gl/maplibre-gl.mjs").Map} Map */
-
 const WORLD = "/static/vendor/world-atlas";
 const GRID_FROM_ZOOM = 10;
 const METRES_PER_DEGREE = 111_320;
 
-/** @typedef {{tiles: string, pmtiles: string}} Ground */
 let registered = false;
 
-/** The operator's archive of tiles as sources and layers: pictures, or shapes by the Protomaps schema. @param {string} url */
-async function archive(url) {
+/** The operator's archive of tiles as a source and layers: pictures, or shapes by the Protomaps schema. @param {string} address */
+async function archive(address) {
   const { PMTiles, Protocol } = await import("../vendor/pmtiles/pmtiles.mjs");
-  if (!registered) { registered = true; maplibre.addProtocol("pmtiles", new Protocol().tile); }
-  const shapes = (await new PMTiles(new URL(url, location.href).href).getHeader()).tileType === 1;
-  const source = { type: shapes ? "vector" : "raster", url: `pmtiles://${new URL(url, location.href).href}`, ...(!shapes && { tileSize: 256 }) };
-  if (!shapes) return { source, layers: [{ id: "tiles", type: "raster", source: "tiles" }] };
-  const layer = (/** @type {string} */ name, /** @type {string} */ type, /** @type {object} */ paint, /** @type {object} */ more = {}) => ({ id: `pm-${name}`, type, source: "tiles", "source-layer": name, paint, ...more });
-  const line = colour("border"), ink = colour("map-ink"), land = colour("land");
-  return { source, layers: [
-    layer("earth", "fill", { "fill-color": land }),
-    layer("water", "fill", { "fill-color": colour("sea") }),
-    layer("buildings", "fill", { "fill-color": line, "fill-opacity": 0.35 }),
-    layer("roads", "line", { "line-color": line, "line-width": ["interpolate", ["exponential", 1.6], ["zoom"], 6, 0.4, 18, 12] }),
-    layer("boundaries", "line", { "line-color": line, "line-dasharray": [3, 2] }),
-    layer("places", "symbol", { "text-color": ink, "text-halo-color": land, "text-halo-width": 1.2 }, { layout: { "text-field": ["get", "name"], "text-size": 12 } }),
-  ] };
+  if (!registered) maplibre.addProtocol("pmtiles", new Protocol().tile);
+  registered = true;
+  const url = new URL(address, location.href).href;
+  const shapes = (await new PMTiles(url).getHeader()).tileType === 1;
+  const drawn = shapes ? await (await fetch("/static/map/protomaps.json")).text() : '[{"id":"tiles","type":"raster"}]';
+  const layers = JSON.parse(drawn.replace(/"@([\w-]+)"/g, (_, name) => JSON.stringify(colour(name))));
+  return {
+    source: { type: shapes ? "vector" : "raster", url: `pmtiles://${url}`, ...(!shapes && { tileSize: 256 }) },
+    layers: layers.map((/** @type {object} */ layer) => ({ ...layer, source: "tiles" })),
+  };
 }
 
-/** @param {string} tiles template of the operator's raster tiles, or empty @param {{source: object, layers: object[]} | undefined} more @returns {Style} */
+/** @param {string} tiles template of the operator's raster tiles, or empty @param {{source: object, layers: object[]} | undefined} more @returns {MapStyle} */
 function style(tiles, more) {
   const [sea, land, border, ink, grid] = ["sea", "land", "border", "map-ink", "grid"].map(colour);
-  return /** @type {Style} */ ({
+  return /** @type {MapStyle} */ ({
     version: 8,
     sources: {
       land: { type: "geojson", data: `${WORLD}/land.geojson` },
@@ -67,7 +59,7 @@ export function collection(features) {
   return /** @type {GeoJSON.FeatureCollection} */ ({ type: "FeatureCollection", features });
 }
 
-/** Lines a round number of metres apart over what is in view. @param {Map} map */
+/** Lines a round number of metres apart over what is in view. @param {MapView} map */
 function metricGrid(map) {
   if (map.getZoom() < GRID_FROM_ZOOM) return collection([]);
   const bounds = map.getBounds();
@@ -87,7 +79,7 @@ function metricGrid(map) {
 
 /**
  * A map in an element.  `dress` adds own sources and layers; it runs again when the colour scheme changes.
- * @param {HTMLElement} host with the operator's `tiles` or `pmtiles` @param {(map: Map) => void} dress
+ * @param {HTMLElement} host with the operator's `tiles` or `pmtiles` @param {(map: MapView) => void} dress
  */
 export function makeMap(host, dress) {
   const tiles = host.getAttribute("tiles") ?? "", pmtiles = host.getAttribute("pmtiles") ?? "";
@@ -101,12 +93,11 @@ export function makeMap(host, dress) {
   map.touchZoomRotate.disableRotation();
   map.addControl(new maplibre.NavigationControl({ showCompass: false }), "top-right");
   map.addControl(new maplibre.ScaleControl({ unit: "metric" }), "bottom-right");
-  const drawGrid = () => {
-    const source = map.getSource("grid");
-    if (source instanceof maplibre.GeoJSONSource) source.setData(metricGrid(map));
-  };
+  const drawGrid = () => put(map, "grid", metricGrid(map));
   map.on("style.load", () => { dress(map); drawGrid(); });
   map.on("moveend", drawGrid);
+  map.on("resize", () => frames.get(map)?.());
+  map.on("movestart", (event) => { if (event.originalEvent) frames.delete(map); });
   const restyle = async () => {
     if (pmtiles) more = await archive(pmtiles).catch(() => undefined);  // without it the outline stays
     map.setStyle(style(tiles, more), { diff: false });
@@ -116,23 +107,17 @@ export function makeMap(host, dress) {
   return map;
 }
 
-/** Show the points, a single one at street zoom. @param {Map} map @param {[number, number][]} points @param {number} maxZoom */
+/** How a map's view was framed; a reader who moved it since is left alone. @type {WeakMap<MapView, () => void>} */
+const frames = new WeakMap();
+
+/** Show the points, a single one at street zoom, also when the map changes its size. @param {MapView} map @param {[number, number][]} points @param {number} maxZoom */
 export function fit(map, points, maxZoom) {
   const [first] = points;
   if (!first) return;
   const bounds = points.reduce((b, p) => b.extend(p), new maplibre.LngLatBounds(first, first));
-  map.fitBounds(bounds, { padding: 56, maxZoom, animate: false });
-}
-
-/** A canvas to draw an icon on, at twice the size. @param {number} size @param {(c: CanvasRenderingContext2D, s: number) => void} draw */
-export function icon(size, draw) {
-  const canvas = document.createElement("canvas");
-  canvas.width = canvas.height = size * 2;
-  const context = canvas.getContext("2d");
-  if (!context) throw new Error("no 2D canvas");
-  context.scale(2, 2);
-  draw(context, size);
-  return context.getImageData(0, 0, size * 2, size * 2);
+  const frame = () => { map.fitBounds(bounds, { padding: 56, maxZoom, animate: false }); };
+  frame();
+  frames.set(map, frame);
 }
 
 /** A line of words over a map, or none. @param {HTMLElement} host @param {string} words */
@@ -142,3 +127,22 @@ export function note(host, words) {
   if (!line) { line = document.createElement("p"); line.className = "map-note"; host.append(line); }
   line.textContent = words;
 }
+
+/** Named points over everything else. @param {MapView} map @param {string} id @param {GeoJSON.FeatureCollection} data @param {any} fill by the feature @param {string} edge */
+export function namedPoints(map, id, data, fill, edge) {
+  map.addSource(id, { type: "geojson", data });
+  map.addLayer({ id, type: "circle", source: id, paint: { "circle-radius": 6, "circle-stroke-width": 2.5, "circle-stroke-color": edge, "circle-color": fill } });
+  map.addLayer({
+    id: `${id}-words`, type: "symbol", source: id,
+    layout: { "text-field": ["get", "say"], "text-size": 12, "text-anchor": "top", "text-offset": [0, 0.8], "text-allow-overlap": true },
+    paint: { "text-color": colour("ink"), "text-halo-color": colour("card"), "text-halo-width": 1.5 },
+  });
+}
+
+/** Other data for a source. @param {MapView | undefined} map @param {string} id @param {GeoJSON.FeatureCollection} data */
+export function put(map, id, data) {
+  const source = map?.getSource(id);
+  if (source instanceof maplibre.GeoJSONSource) source.setData(data);
+}
+
+export const ROUND = /** @type {const} */ ({ "line-cap": "round", "line-join": "round" });

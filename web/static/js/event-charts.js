@@ -2,12 +2,10 @@
 
 import uPlot from "../vendor/uplot/uplot.mjs";
 import { eventDocument, forgetDocuments } from "./event-document.js";
-import { colour } from "./palette.js";
+import { chartAxis, colour } from "./palette.js";
 import { whenSeen } from "./seen.js";
 import { t } from "./words.js";
 
-/** @typedef {import("./event-document.js").Column} Column */
-/** @typedef {{label: string, values: Column, stroke: string, dash?: number[], sigma?: Column}} Curve */
 const HEIGHT = 210;
 const SIGMAS_95 = 1.96;
 
@@ -24,11 +22,6 @@ class EventCharts extends HTMLElement {
     document.addEventListener("scatola:change", this.#onChange);
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => void this.#draw());
     new ResizeObserver(() => { for (const plot of this.#plots) plot.setSize({ width: plot.root.parentElement?.clientWidth || 300, height: HEIGHT }); }).observe(this);
-  }
-
-  disconnectedCallback() {
-    document.removeEventListener("scatola:change", this.#onChange);
-    for (const plot of this.#plots) plot.destroy();
   }
 
   /** A further revision of this event. @param {Event} event */
@@ -81,7 +74,7 @@ class EventCharts extends HTMLElement {
     const host = /** @type {HTMLElement} */ (this.querySelector(`[data-plot="${name}"]`));
     host.replaceChildren();
     const keys = this.querySelector(`[data-keys="${name}"]`);
-    keys?.replaceChildren(...curves.filter((c) => c.label).map(key));
+    if (keys) keys.innerHTML = curves.filter((c) => c.label).map(key).join("");
     /** @type {Column[]} */ const columns = [x];
     /** @type {uPlot.Series[]} */ const series = [{ label: unit }];
     /** @type {uPlot.Band[]} */ const bands = [];
@@ -95,7 +88,7 @@ class EventCharts extends HTMLElement {
       columns.push(values);
       series.push({ label, stroke, width: 1.8, ...(dash && { dash }), points: { show: false } });
     }
-    const axis = { stroke: colour("muted"), grid: { stroke: colour("line"), width: 1 }, ticks: { show: false }, font: "12px system-ui, sans-serif" };
+    const axis = chartAxis();
     this.#plots.push(new uPlot({
       width: host.clientWidth, height: HEIGHT, legend: { show: false }, scales: { x: { time: false } }, series, bands,
       cursor: { drag: { x: true, y: false }, points: { size: 6 }, ...(name !== "speed" && { sync: { key: "event" } }) },
@@ -106,18 +99,7 @@ class EventCharts extends HTMLElement {
 
 /** @param {Curve} curve */
 function key({ label, stroke }) {
-  const words = document.createElement("span");
-  words.className = "chart-key";
-  const sample = document.createElementNS("http://www.w3.org/2000/svg", "svg");
-  sample.setAttribute("width", "14");
-  sample.setAttribute("height", "3");
-  const line = document.createElementNS("http://www.w3.org/2000/svg", "rect");
-  line.setAttribute("width", "14");
-  line.setAttribute("height", "3");
-  line.setAttribute("fill", stroke);
-  sample.append(line);
-  words.append(sample, ` ${label} `);
-  return words;
+  return `<span class="chart-key"><svg width="14" height="3"><rect width="14" height="3" fill="${stroke}"/></svg> ${label} </span>`;
 }
 
 customElements.define("event-charts", EventCharts);

@@ -1,26 +1,21 @@
 // <event-map document="url" tiles="" pmtiles="">: the way before and after an event, its 95 % ellipses, where it happened and ended.
 
-import { collection, fit, makeMap } from "./basemap.js";
+import { ROUND, collection, fit, makeMap, namedPoints } from "./basemap.js";
 import { eventDocument } from "./event-document.js";
 import { colour } from "./palette.js";
 import { whenSeen } from "./seen.js";
 import { t } from "./words.js";
 
-/** @typedef {import("../vendor/maplibre-gl/maplibre-gl.mjs").Map} Map */
-/** @typedef {import("./event-document.js").Way} Way */
-/** @typedef {[number, number]} Place */
 const METRES_PER_DEGREE = 111_320;
 const SHOWN_BEFORE_S = 20, SHOWN_AFTER_S = 10, ELLIPSE_EVERY_S = 5;
 
 class EventMap extends HTMLElement {
-  /** @type {Map | undefined} */ #map;
+  /** @type {MapView | undefined} */ #map;
   #lines = collection([]);
   #ellipses = collection([]);
   #marks = collection([]);
 
   connectedCallback() { whenSeen(this, () => void this.#open()); }
-
-  disconnectedCallback() { this.#map?.remove(); }
 
   async #open() {
     let found;
@@ -37,7 +32,7 @@ class EventMap extends HTMLElement {
 
   /** @param {Way} way @param {number | null} rest */
   #lay(way, rest) {
-    /** @type {{t: number, place: Place, k: number}[]} */
+    /** @type {{t: number, place: LonLat, k: number}[]} */
     const points = [];
     way.t_s.forEach((t, k) => {
       const lat = way.lat_deg[k], lon = way.lon_deg[k];
@@ -56,34 +51,24 @@ class EventMap extends HTMLElement {
     return points;
   }
 
-  /** @param {Map} map */
+  /** @param {MapView} map */
   #dress(map) {
     map.addSource("way", { type: "geojson", data: this.#lines });
     map.addSource("ellipses", { type: "geojson", data: this.#ellipses });
-    map.addSource("marks", { type: "geojson", data: this.#marks });
-    const round = { "line-cap": /** @type {const} */ ("round"), "line-join": /** @type {const} */ ("round") };
     map.addLayer({ id: "ellipses", type: "fill", source: "ellipses", paint: { "fill-color": colour("track"), "fill-opacity": 0.12 } });
     map.addLayer({ id: "ellipse-edges", type: "line", source: "ellipses", paint: { "line-color": colour("map-ink"), "line-width": 0.8 } });
     map.addLayer({
-      id: "way", type: "line", source: "way", layout: round,
+      id: "way", type: "line", source: "way", layout: ROUND,
       paint: {
         "line-color": ["match", ["get", "when"], "after", colour("alarm-fill"), colour("track")],
         "line-width": ["match", ["get", "when"], "last", 5, 3], "line-opacity": ["match", ["get", "when"], "before", 0.6, 1],
       },
     });
-    map.addLayer({
-      id: "marks", type: "circle", source: "marks",
-      paint: { "circle-radius": 6, "circle-stroke-width": 2.5, "circle-stroke-color": colour("card"), "circle-color": ["match", ["get", "words"], "impact", colour("alarm-fill"), colour("ink")] },
-    });
-    map.addLayer({
-      id: "mark-words", type: "symbol", source: "marks",
-      layout: { "text-field": ["get", "say"], "text-size": 12, "text-anchor": "top", "text-offset": [0, 0.8], "text-allow-overlap": true },
-      paint: { "text-color": colour("ink"), "text-halo-color": colour("card"), "text-halo-width": 1.5 },
-    });
+    namedPoints(map, "marks", this.#marks, ["match", ["get", "words"], "impact", colour("alarm-fill"), colour("ink")], colour("card"));
   }
 }
 
-/** An ellipse on the ground. @param {Place} place @param {number | null | undefined} long m @param {number | null | undefined} short m @param {number | null | undefined} turn degrees from north */
+/** An ellipse on the ground. @param {LonLat} place @param {number | null | undefined} long m @param {number | null | undefined} short m @param {number | null | undefined} turn degrees from north */
 function ellipse([lon, lat], long, short, turn) {
   if (typeof long !== "number" || typeof short !== "number" || typeof turn !== "number") return [];
   const angle = (turn * Math.PI) / 180, east = METRES_PER_DEGREE * Math.cos((lat * Math.PI) / 180);

@@ -1,13 +1,11 @@
 // <fleet-map tiles="" pmtiles="">: every box of the list with a position is a mark; colour and shape say the state.
 // Positions move with the live stream, a crowd of them at a time; states and filters come from /fleet/places.
 
-import { Popup, GeoJSONSource } from "../vendor/maplibre-gl/maplibre-gl.mjs";
-import { collection, fit, icon, makeMap, note } from "./basemap.js";
+import { Popup } from "../vendor/maplibre-gl/maplibre-gl.mjs";
+import { collection, fit, makeMap, note, put } from "./basemap.js";
 import { colour } from "./palette.js";
 import { t } from "./words.js";
 
-/** @typedef {import("../vendor/maplibre-gl/maplibre-gl.mjs").Map} Map */
-/** @typedef {[id: string, url: string, name: string, mark: string, words: string, lat: number, lon: number]} Place */
 const SIZE = 22;
 const TAU = 2 * Math.PI;
 const BATCH_MS = 500;
@@ -22,8 +20,8 @@ const SHAPES = {
 };
 
 class FleetMap extends HTMLElement {
-  /** @type {Map | undefined} */ #map;
-  /** By id. @type {globalThis.Map<string, Place>} */ #places = new Map();
+  /** @type {MapView | undefined} */ #map;
+  /** By id. @type {Map<string, Spot>} */ #places = new Map();
   /** What the view was fitted to; a reader who moved the map since is left alone. */
   #fitted = "";
   #touched = false;
@@ -52,28 +50,20 @@ class FleetMap extends HTMLElement {
     void this.#ask();
   }
 
-  disconnectedCallback() {
-    document.removeEventListener("scatola:parts", this.#ask);
-    document.removeEventListener("scatola:change", this.#onChange);
-    clearTimeout(this.#later);
-    this.#map?.remove();
-  }
-
-  /** @param {Map} map */
+  /** @param {MapView} map */
   #dress(map) {
     const card = colour("card"), ink = colour("ink");
     for (const [state, outline] of Object.entries(SHAPES)) {
-      const image = icon(SIZE, (c, size) => {
-        c.beginPath();
-        outline(c, size / 2);
-        c.lineWidth = state === "unknown" ? 7 : 3;
-        c.lineJoin = "round";
-        c.strokeStyle = card;
-        c.stroke();
-        if (state === "unknown") { c.lineWidth = 3.5; c.strokeStyle = colour("unknown-fill"); c.stroke(); }
-        else { c.fillStyle = colour(`${state}-fill`); c.fill(); }
-      });
-      map.addImage(state, image, { pixelRatio: 2 });
+      const c = /** @type {any} */ (new OffscreenCanvas(2 * SIZE, 2 * SIZE).getContext("2d"));
+      c.scale(2, 2);
+      outline(c, SIZE / 2);
+      c.lineWidth = state === "unknown" ? 7 : 3;
+      c.lineJoin = "round";
+      c.strokeStyle = card;
+      c.stroke();
+      if (state === "unknown") { c.lineWidth = 3.5; c.strokeStyle = colour("unknown-fill"); c.stroke(); }
+      else { c.fillStyle = colour(`${state}-fill`); c.fill(); }
+      map.addImage(state, c.getImageData(0, 0, 2 * SIZE, 2 * SIZE), { pixelRatio: 2 });
     }
     map.addSource("boxes", {
       type: "geojson", data: this.#features(), cluster: true, clusterRadius: 36, clusterMaxZoom: 13,
@@ -110,7 +100,7 @@ class FleetMap extends HTMLElement {
     const answer = await fetch(`/fleet/places${location.search}`).catch(() => undefined);
     if (asked !== this.#asked) return;  // a later question is on its way
     if (!answer?.ok) { note(this, t("The positions could not be read")); return; }
-    /** @type {Place[]} */
+    /** @type {Spot[]} */
     const places = await answer.json();
     this.#places = new Map(places.map((place) => [place[0], place]));
     this.#draw();
@@ -126,8 +116,7 @@ class FleetMap extends HTMLElement {
   };
 
   #draw() {
-    const source = this.#map?.getSource("boxes");
-    if (source instanceof GeoJSONSource) source.setData(this.#features());
+    put(this.#map, "boxes", this.#features());
     this.dataset.marks = String(this.#places.size);
     const shown = [...this.#places.keys()].sort().join();
     if (this.#map && !this.#touched && shown !== this.#fitted) {

@@ -5,8 +5,6 @@
 import { formatTimes } from "./time.js";
 import { t } from "./words.js";
 
-/** @typedef {{at: string, device_id: string | null, vehicle_id: string | null}} Change */
-
 const KINDS = ["batch", "installation", "trip", "position", "moved", "device", "vehicle", "event", "analysis"];
 /** Changes come in crowds; a second's worth of them is one fetch, and a page that takes long to make waits longer. */
 const SETTLE_MS = 1000;

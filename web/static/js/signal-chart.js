@@ -2,13 +2,11 @@
 // Dragging zooms and fetches again at the new resolution; a double click goes back.  The address names the window.
 
 import uPlot from "../vendor/uplot/uplot.mjs";
-import { colour } from "./palette.js";
+import { chartAxis, colour } from "./palette.js";
 import { decode } from "./signals.js";
 import { formatter } from "./time.js";
 import { SPEED, t } from "./words.js";
 
-/** @typedef {import("./signals.js").Signals} Signals */
-/** @typedef {{seconds: number} | {from: string, to: string}} View */
 const FORCE = ["fx", "fy", "fz"];
 const AXIS = /** @type {const} */ (["axis-x", "axis-y", "axis-z"]);
 const DIRECTIONS = [t("x forward"), t("y right"), t("z down")];
@@ -17,8 +15,8 @@ const REFETCH_MS = 1500;
 const HEIGHT = 180;
 
 class SignalChart extends HTMLElement {
-  /** @type {View} */ #view = { seconds: 60 };
-  /** @type {View[]} */ #back = [];
+  /** @type {TimeWindow} */ #view = { seconds: 60 };
+  /** @type {TimeWindow[]} */ #back = [];
   /** Whether the view is that of the trip that the page shows, whichever that becomes. */
   #onTrip = false;
   /** @type {"a" | "v"} */ #frame = "a";
@@ -52,15 +50,6 @@ class SignalChart extends HTMLElement {
     new ResizeObserver(() => this.#resize()).observe(this);
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", this.#redraw);
     void this.#fetch();
-  }
-
-  disconnectedCallback() {
-    document.removeEventListener("scatola:change", this.#onChange);
-    document.removeEventListener("scatola:parts", this.#onParts);
-    document.removeEventListener("scatola:zone", this.#redraw);
-    document.removeEventListener("scatola:place", this.#onPlace);
-    this.#asking?.abort();
-    this.#discard();
   }
 
   #redraw = () => { this.#discard(); this.#draw(); };
@@ -105,7 +94,7 @@ class SignalChart extends HTMLElement {
 
   get #mounted() { return this.#part("mounting").known === "yes"; }
 
-  /** @returns {View} */
+  /** @returns {TimeWindow} */
   #trip() {
     const { from = "", to = "" } = this.#part("last");
     return { from, to };
@@ -136,7 +125,7 @@ class SignalChart extends HTMLElement {
 
   /** New data of this box, while the chart follows the newest. @param {Event} event */
   #onChange = (event) => {
-    const { device_id: device } = /** @type {CustomEvent<import("./live.js").Change>} */ (event).detail;
+    const { device_id: device } = /** @type {CustomEvent<Change>} */ (event).detail;
     if (device !== this.getAttribute("device") || !("seconds" in this.#view)) return;
     this.#later ??= setTimeout(() => { this.#later = undefined; if (!document.hidden) void this.#fetch(); }, REFETCH_MS);
   };
@@ -175,7 +164,7 @@ class SignalChart extends HTMLElement {
     this.dataset.points = String(header.groups.reduce((sum, group) => sum + group.count, 0));
   }
 
-  /** @param {import("./signals.js").Header} header */
+  /** @param {SignalHeader} header */
   #words(header) {
     const missing = header.frame === "a" && !this.#mounted ? t("Box axes: the mounting is not known yet.") : "";
     const gaps = header.gaps.length ? t("Gaps in the data: {n}.", { n: header.gaps.length }) : "";
@@ -204,7 +193,7 @@ class SignalChart extends HTMLElement {
   /** @param {string} name @param {{stroke: string}[]} lines */
   #plot(name, lines) {
     const host = /** @type {HTMLElement} */ (this.querySelector(`[data-plot="${name}"]`));
-    const axis = { stroke: colour("muted"), grid: { stroke: colour("line"), width: 1 }, ticks: { show: false }, font: "12px system-ui, sans-serif" };
+    const axis = chartAxis();
     /** @type {uPlot.Options} */
     const options = {
       width: host.clientWidth, height: HEIGHT, legend: { show: false }, scales: { x: { auto: false }, y: { auto: false } },
@@ -274,9 +263,8 @@ function timeWords(_, ticks) {
 }
 
 /** Tells the map which instant is under the cursor. @param {uPlot} plot */
-function tell(plot) {
-  const left = plot.cursor.left ?? -1;
-  document.dispatchEvent(new CustomEvent("scatola:cursor", { detail: { at: left < 0 ? null : plot.posToVal(left, "x") } }));
+function tell({ cursor: { left = -1 }, posToVal }) {
+  document.dispatchEvent(new CustomEvent("scatola:cursor", { detail: { at: left < 0 ? null : posToVal(left, "x") } }));
 }
 
 customElements.define("signal-chart", SignalChart);

@@ -1,13 +1,9 @@
 // Reads the answer of GET /api/v1/devices/{id}/signals: header length, JSON header, times and columns.
 
-/** @typedef {{columns: string[], count: number}} Group */
-/** @typedef {{t0: string, frame: "a" | "v", from: string, to: string, units: Record<string, string>, groups: Group[], gaps: [number, number][]}} Header */
-/** @typedef {{header: Header, series: Record<string, {t: Float64Array, values: Float32Array}>}} Signals */
-
 /** @param {ArrayBuffer} body @returns {Signals} */
 export function decode(body) {
   const headerLength = new DataView(body).getUint32(0, true);
-  /** @type {Header} */
+  /** @type {SignalHeader} */
   const header = JSON.parse(new TextDecoder().decode(new Uint8Array(body, 4, headerLength)));
   /** @type {Signals["series"]} */
   const series = {};

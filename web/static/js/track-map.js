@@ -1,19 +1,16 @@
 // <track-map last="id of the part that names the trip and position" tiles="" pmtiles="">: where the trip went, coloured
 // by speed, or where the vehicle stands before the first.  The charts' cursor is a point on the way.
 
-import { GeoJSONSource } from "../vendor/maplibre-gl/maplibre-gl.mjs";
-import { collection, fit, makeMap, note } from "./basemap.js";
+import { ROUND, collection, fit, makeMap, namedPoints, note, put } from "./basemap.js";
 import { colour } from "./palette.js";
 import { whenSeen } from "./seen.js";
 import { SPEED, t } from "./words.js";
 
-/** @typedef {import("../vendor/maplibre-gl/maplibre-gl.mjs").Map} Map */
-/** @typedef {{geometry: {coordinates: [number, number][]} | null, properties: {at: string[], speed_mps: (number | null)[]}}} Track */
 /** Speeds of the colours, m/s: standing, town, country road, motorway. */
 const RAMP = /** @type {const} */ ([[0, "#3b6fd4"], [14, "#22a884"], [25, "#e6b422"], [36, "#d93a3a"]]);
 
 class TrackMap extends HTMLElement {
-  /** @type {Map | undefined} */ #map;
+  /** @type {MapView | undefined} */ #map;
   /** @type {[number, number][]} */ #points = [];
   /** Unix seconds of each point. @type {number[]} */ #at = [];
   /** @type {(number | null)[]} */ #speed = [];
@@ -33,35 +30,16 @@ class TrackMap extends HTMLElement {
     });
   }
 
-  disconnectedCallback() {
-    document.removeEventListener("scatola:parts", this.#update);
-    document.removeEventListener("scatola:cursor", this.#onCursor);
-    this.#map?.remove();
-  }
-
-  /** @param {Map} map */
+  /** @param {MapView} map */
   #dress(map) {
     map.addSource("track", { type: "geojson", data: this.#lines() });
-    map.addSource("ends", { type: "geojson", data: this.#ends() });
     map.addSource("cursor", { type: "geojson", data: collection([]) });
-    const round = { "line-cap": /** @type {const} */ ("round"), "line-join": /** @type {const} */ ("round") };
-    map.addLayer({ id: "track-edge", type: "line", source: "track", layout: round, paint: { "line-color": colour("card"), "line-width": 8 } });
+    map.addLayer({ id: "track-edge", type: "line", source: "track", layout: ROUND, paint: { "line-color": colour("card"), "line-width": 8 } });
     map.addLayer({
-      id: "track", type: "line", source: "track", layout: round,
+      id: "track", type: "line", source: "track", layout: ROUND,
       paint: { "line-width": 4, "line-color": ["case", ["<", ["get", "v"], 0], colour("unknown-fill"), ["interpolate", ["linear"], ["get", "v"], ...RAMP.flat()]] },
     });
-    map.addLayer({
-      id: "ends", type: "circle", source: "ends",
-      paint: {
-        "circle-radius": 6, "circle-stroke-width": 3, "circle-stroke-color": colour("ink"),
-        "circle-color": ["case", ["==", ["get", "end"], "start"], colour("card"), colour("ink")],
-      },
-    });
-    map.addLayer({
-      id: "end-words", type: "symbol", source: "ends",
-      layout: { "text-field": ["get", "words"], "text-size": 12, "text-anchor": "top", "text-offset": [0, 0.8], "text-allow-overlap": true },
-      paint: { "text-color": colour("ink"), "text-halo-color": colour("card"), "text-halo-width": 1.5 },
-    });
+    namedPoints(map, "ends", this.#ends(), ["case", ["==", ["get", "end"], "start"], colour("card"), colour("ink")], colour("ink"));
     map.addLayer({ id: "cursor", type: "circle", source: "cursor", paint: { "circle-radius": 7, "circle-color": colour("accent"), "circle-stroke-width": 3, "circle-stroke-color": colour("card") } });
   }
 
@@ -81,19 +59,13 @@ class TrackMap extends HTMLElement {
   #ends() {
     const [first] = this.#points, last = this.#points.at(-1);
     const ends = first && last ? [[first, "start", t("start")], [last, "end", t("end")]] : this.#place ? [[this.#place, "end", t("last position")]] : [];
-    return collection(ends.map(([coordinates, end, words]) => (
-      { type: "Feature", properties: { end, words }, geometry: { type: "Point", coordinates } })));
-  }
-
-  /** @param {string} id @param {GeoJSON.FeatureCollection} data */
-  #set(id, data) {
-    const source = this.#map?.getSource(id);
-    if (source instanceof GeoJSONSource) source.setData(data);
+    return collection(ends.map(([coordinates, end, say]) => (
+      { type: "Feature", properties: { end, say }, geometry: { type: "Point", coordinates } })));
   }
 
   #draw() {
-    this.#set("track", this.#lines());
-    this.#set("ends", this.#ends());
+    put(this.#map, "track", this.#lines());
+    put(this.#map, "ends", this.#ends());
     this.querySelector(".speed-key")?.remove();
     if (this.#points.length < 2) return;
     const key = document.createElement("div");
@@ -108,7 +80,7 @@ class TrackMap extends HTMLElement {
     const k = at === null ? -1 : this.#at.findIndex((t) => t >= at);
     const coordinates = this.#points[k];
     this.dataset.cursor = coordinates ? String(k) : "";
-    this.#set("cursor", collection(coordinates ? [{ type: "Feature", properties: {}, geometry: { type: "Point", coordinates } }] : []));
+    put(this.#map, "cursor", collection(coordinates ? [{ type: "Feature", properties: {}, geometry: { type: "Point", coordinates } }] : []));
   };
 
   /** The other way: the instant at which the vehicle was here. @param {number} lon @param {number} lat */
@@ -144,7 +116,8 @@ class TrackMap extends HTMLElement {
     this.#points = geometry?.coordinates ?? [];
     this.#at = properties.at.map((at) => Date.parse(at) / 1000);
     this.#speed = properties.speed_mps;
-    note(this, this.#points.length ? "" : t("No positions of this trip"));
+    if (!this.#points.length) { this.#stand(lat, lon); note(this, t("No positions of this trip")); return; }
+    note(this, "");
     this.#draw();
     this.dataset.points = String(this.#points.length);
     if (this.#map && this.#fitted !== track && this.#points.length > 0) { this.#fitted = track; fit(this.#map, this.#points, 16); }

@@ -1,0 +1,62 @@
+"""What holds on every page: axe finds nothing serious, nothing overflows, both languages and schemes are whole.
+
+Whoever adds a page adds its path here.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import expect
+
+from tests.browser.test_pages import CONTRAST
+
+AXE = Path(__file__).resolve().parents[2] / "node_modules" / "axe-core" / "axe.min.js"
+RUN_AXE = """async () => {
+  const found = await axe.run(document, { resultTypes: ["violations"], iframes: false });
+  return found.violations.filter((v) => v.impact === "serious" || v.impact === "critical")
+    .map((v) => `${v.id}: ${v.nodes.slice(0, 3).map((n) => n.html.slice(0, 160)).join(" | ")}`);
+}"""
+PATHS = {
+    "login": "/login",
+    "fleet": "/",
+    "fleet-filtered": "/?show=moved&sort=seen&down=1",
+    "vehicles": "/vehicles",
+    "vehicles-none": "/vehicles?q=nothing+like+it",
+    "vehicle": "/vehicles/{Fiat Panda}",
+    "vehicle-moved": "/vehicles/{Iveco Daily}",
+    "vehicle-new": "/vehicles/{Piaggio Porter}",
+    "events": "/events?show=all",
+    "users": "/users",
+    "audit": "/audit",
+    "account": "/account",
+    "missing": "/vehicles/nowhere",
+}
+
+
+@pytest.mark.parametrize("name", PATHS)
+def test_axe_width_contrast_and_language(site, open_page, screenshot, name):
+    path = PATHS[name]
+    for vehicle, vehicle_id in site.vehicles.items():
+        path = path.replace(f"{{{vehicle}}}", vehicle_id)
+    inside = name not in ("login", "missing")
+    page = open_page(path, signed_in=name != "login", expected=("404",), locale="it-IT")
+    if inside:
+        expect(page.locator("#live")).to_have_attribute("data-state", "on")
+    assert page.locator("html").get_attribute("lang") == "it"
+    # The policy of the pages lets no foreign script in; the test's own comes in from outside the page.
+    page.evaluate(AXE.read_text())
+    for width in (320, 390, 768, 1280):
+        page.set_viewport_size({"width": width, "height": 844})
+        page.wait_for_function("document.documentElement.scrollWidth <= window.innerWidth")
+        for scheme in ("light", "dark"):
+            page.emulate_media(color_scheme=scheme)
+            assert page.evaluate(CONTRAST) == []
+            if width in (390, 1280):
+                screenshot(page, f"{name}-{'phone' if width == 390 else 'desk'}-{scheme}")
+        if width in (390, 1280):
+            assert page.evaluate(RUN_AXE) == []
+    if name.startswith("vehicle") and inside:
+        page.emulate_media(media="print")
+        assert not page.locator(".top").is_visible()
