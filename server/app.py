@@ -137,7 +137,12 @@ def create_app(settings: Settings, *, clock: Clock = utc_now) -> FastAPI:
     app.mount("/static", StaticFiles(directory=folder("web") / "static", check_dir=False))
 
     # The last that is added is the outermost.
-    app.add_middleware(BodyLimit, max_bytes=MAX_JSON_BYTES, except_paths=frozenset({ingest.PATH, analyses.PATH}))
+    app.add_middleware(
+        BodyLimit,
+        max_bytes=MAX_JSON_BYTES,
+        except_paths=frozenset({ingest.PATH, analyses.PATH}),
+        larger={workbench_pages.PATH: analyses.MAX_FILE_BYTES + MAX_JSON_BYTES},
+    )
     app.add_middleware(AccessGate)
     app.add_middleware(SecurityHeaders, settings=settings)
     app.add_middleware(RequestTelemetry, telemetry=telemetry)

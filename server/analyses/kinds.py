@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from typing import Annotated, Any, Literal, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
@@ -79,6 +80,7 @@ class Mounting(_Parameters):
         return self
 
 
+_WORDS = ("terms", "traffic_side")
 PARAMETERS: dict[Kind, type[_Parameters]] = {
     "allan": Allan,
     "accelerometer": Accelerometer,
@@ -89,10 +91,28 @@ PARAMETERS: dict[Kind, type[_Parameters]] = {
 }
 
 
+def from_form(kind: Kind, typed: Mapping[str, str]) -> dict[str, Any]:
+    """The parameters of a kind from a form, in which empty fields leave the default and commas may be decimal."""
+    given: dict[str, Any] = {}
+    for name, field in PARAMETERS[kind].model_fields.items():
+        text = typed.get(name, "").strip()
+        if field.annotation is bool:
+            given[name] = bool(text)
+        elif text and name == "rates_deg_s":
+            given[name] = text.replace(";", " ").replace(", ", " ").split()
+        elif text:
+            given[name] = text if name in _WORDS else text.replace(",", ".")
+    return _told(lambda: PARAMETERS[kind].model_validate(given))
+
+
 def checked(kind: Kind, given: str) -> dict[str, Any]:
     """The parameters of a kind from JSON text, defaults filled in."""
+    return _told(lambda: PARAMETERS[kind].model_validate_json(given))
+
+
+def _told(validated: Callable[[], _Parameters]) -> dict[str, Any]:
     try:
-        return PARAMETERS[kind].model_validate_json(given).model_dump(mode="json")
+        return validated().model_dump(mode="json")
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(map(str, first["loc"])) or "parameters"

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import datetime as dt
 import hashlib
-from typing import Annotated, cast
+from typing import Annotated, Any, cast
 
 from anyio import CapacityLimiter, to_thread
 from fastapi import APIRouter, Query, Request
@@ -13,6 +14,7 @@ from server.accounts.access import Caller, RawReader, look
 from server.analyses import kinds, queries, service
 from server.analyses.kinds import Kind
 from server.analyses.schemas import AnalysisList, AnalysisOut
+from server.database import Database
 from server.edge import DatabaseOf, Now, StoreOf
 from server.errors import ConflictError, ForbiddenError, InvalidError, NotFoundError
 from server.ingest.body import read_body
@@ -54,32 +56,53 @@ async def ask(
     if trip is not None or again is not None:
         if trip is not None and again is not None:
             raise InvalidError("Either trip or again", code="two_recordings")
-
-        def ask_stored() -> AnalysisOut:
-            with database.transaction() as session:
-                service.check_room(session, caller.organisation_id, 0)
-                if trip is not None:
-                    found = trip_of(session, caller.organisation_id, trip)
-                    return AnalysisOut.of(service.of_trip(session, caller, kind, checked, found, now=now))
-                before = queries.analysis_of(session, caller.organisation_id, cast("str", again))
-                return AnalysisOut.of(service.again(session, caller, kind, checked, before, now=now))
-
-        return await to_thread.run_sync(ask_stored)
+        return await to_thread.run_sync(lambda: asked_of_stored(database, caller, kind, checked, trip, again, now))
     body = await read_body(request, MAX_FILE_BYTES)
+    limiter = cast("CapacityLimiter", request.app.state.upload_slots)
+    return await to_thread.run_sync(
+        lambda: asked_of_file(database, store, caller, kind, checked, name, body, now), limiter=limiter
+    )
+
+
+def asked_of_stored(
+    database: Database,
+    caller: Caller,
+    kind: Kind,
+    parameters: dict[str, Any],
+    trip: str | None,
+    again: str | None,
+    now: dt.datetime,
+) -> AnalysisOut:
+    """Ask for an analysis of a trip, or of another analysis' recording."""
+    with database.transaction() as session:
+        service.check_room(session, caller.organisation_id, 0)
+        if trip is not None:
+            found = trip_of(session, caller.organisation_id, trip)
+            return AnalysisOut.of(service.of_trip(session, caller, kind, parameters, found, now=now))
+        before = queries.analysis_of(session, caller.organisation_id, again or "")
+        return AnalysisOut.of(service.again(session, caller, kind, parameters, before, now=now))
+
+
+def asked_of_file(
+    database: Database,
+    store: BlobStore,
+    caller: Caller,
+    kind: Kind,
+    parameters: dict[str, Any],
+    name: str,
+    body: bytes,
+    now: dt.datetime,
+) -> AnalysisOut:
+    """Keep a file and ask for its analysis; the blob is durable before the row speaks of it."""
     if not body:
         raise InvalidError("The file is empty", code="empty")
-
-    def ask_file() -> AnalysisOut:
-        with database.reading() as session:
-            service.check_room(session, caller.organisation_id, len(body))
-        sha256 = hashlib.sha256(body).hexdigest()
-        store.put(service.file_key(caller.organisation_id, sha256, "input"), body)
-        with database.transaction() as session:
-            row = service.of_file(session, caller, kind, checked, name=name, sha256=sha256, size=len(body), now=now)
-            return AnalysisOut.of(row)
-
-    limiter = cast("CapacityLimiter", request.app.state.upload_slots)
-    return await to_thread.run_sync(ask_file, limiter=limiter)
+    with database.reading() as session:
+        service.check_room(session, caller.organisation_id, len(body))
+    sha256 = hashlib.sha256(body).hexdigest()
+    store.put(service.file_key(caller.organisation_id, sha256, "input"), body)
+    with database.transaction() as session:
+        row = service.of_file(session, caller, kind, parameters, name=name, sha256=sha256, size=len(body), now=now)
+        return AnalysisOut.of(row)
 
 
 @router.get(PATH)

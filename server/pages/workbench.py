@@ -6,17 +6,20 @@ from collections.abc import Sequence
 from typing import Annotated, Any, cast
 
 import orjson
+from anyio import to_thread
 from fastapi import APIRouter, Query, Request
 from sqlalchemy.orm import Session
+from starlette.datastructures import UploadFile
 from starlette.responses import HTMLResponse, RedirectResponse, Response
 
-from server.accounts.access import RawReader
+from server.accounts.access import Caller, RawReader
+from server.analyses import kinds, service
 from server.analyses import queries as analyses
-from server.analyses import service
 from server.analyses.kinds import Kind
-from server.analyses.routes import result_of, see
+from server.analyses.routes import asked_of_file, asked_of_stored, result_of, see
+from server.database import Database
 from server.edge import DatabaseOf, Now, StoreOf
-from server.errors import ConflictError, NotFoundError
+from server.errors import ConflictError, InvalidError, NotFoundError, TooLargeError, TooManyRequestsError
 from server.models import Analysis, Device, Trip, Vehicle
 from server.pages import queries
 from server.pages.routes import answer
@@ -27,7 +30,9 @@ from server.wording import marked
 
 router = APIRouter(include_in_schema=False, default_response_class=HTMLResponse)
 
+PATH = "/workbench"
 LISTED = 100
+NOTHING = marked("Choose a file or a trip.")
 KIND_WORDS: dict[str, str] = {
     "allan": marked("Allan deviation"),
     "accelerometer": marked("Accelerometer from poses"),
@@ -60,7 +65,7 @@ REFERENCES = {
 }
 
 
-@router.get("/workbench")
+@router.get(PATH)
 def workbench(
     request: Request,
     caller: RawReader,
@@ -70,6 +75,49 @@ def workbench(
     again: Annotated[str | None, Query(max_length=32)] = None,
 ) -> HTMLResponse:
     """Ask for an analysis, and find those that were asked for."""
+    return _workbench(request, caller, database, kind, trip, again)
+
+
+@router.post(PATH)
+async def ask(request: Request, caller: RawReader, database: DatabaseOf, store: StoreOf, now: Now) -> Response:
+    """The page's form: a file, a trip or another analysis' recording, and settings."""
+    async with request.form(max_files=1, max_fields=40) as form:
+        typed = {name: value for name, value in form.items() if isinstance(value, str)}
+        file = form.get("file")
+        body, name = (await file.read(), file.filename) if isinstance(file, UploadFile) else (b"", None)
+    known: list[Kind] = [one for one in kinds.KINDS if one == typed.get("kind")]
+    kind = known[0] if known else "allan"
+    trip, again = typed.get("trip") or None, typed.get("again") or None
+
+    def asked() -> str:
+        if not known:
+            raise InvalidError("kind: not one of the list")
+        parameters = kinds.from_form(kind, typed)
+        see(request, caller, kind)
+        if trip is not None or again is not None:
+            return asked_of_stored(database, caller, kind, parameters, trip, again, now).id
+        if not body:
+            raise InvalidError(NOTHING)
+        return asked_of_file(database, store, caller, kind, parameters, (name or "file")[-200:], body, now).id
+
+    try:
+        return RedirectResponse(f"{PATH}/{await to_thread.run_sync(asked)}", 303)
+    except (InvalidError, ConflictError, TooLargeError, TooManyRequestsError) as error:
+        problem, status = error.detail, error.status
+    page = await to_thread.run_sync(lambda: _workbench(request, caller, database, kind, trip, again, problem))
+    page.status_code = status
+    return page
+
+
+def _workbench(
+    request: Request,
+    caller: Caller,
+    database: Database,
+    kind: Kind,
+    trip: str | None,
+    again: str | None,
+    problem: str | None = None,
+) -> HTMLResponse:
     with database.reading() as session:
         change = queries.last_change(session, caller.organisation_id)
         before = None if again is None else analyses.analysis_of(session, caller.organisation_id, again)
@@ -84,6 +132,7 @@ def workbench(
         "analyses": listed,
         "trips": named,
         "trip_id": trip,
+        "problem": problem,
     }
     return answer(request, "workbench.html", caller, "workbench", change, context)
 

@@ -28,6 +28,8 @@ PATHS = {
     "vehicle-moved": "/vehicles/{Iveco Daily}",
     "vehicle-new": "/vehicles/{Piaggio Porter}",
     "events": "/events?show=all",
+    "workbench": "/workbench",
+    "live": "/devices/{Fiat Panda device}/live",
     "users": "/users",
     "audit": "/audit",
     "account": "/account",

@@ -1,165 +1,122 @@
 // <live-monitor device="id">: the newest samples of a box, as the acquisition program of 000 ch. 8 shows them.
-// The live stream says that there is more; only what is new is fetched, and the view glides on between uploads.
+// The stream says that there is more; only what is new is fetched, and the view glides on between uploads.
 
 import uPlot from "../vendor/uplot/uplot.mjs";
-import { colour } from "./palette.js";
+import { chartAxis, colour } from "./palette.js";
 import { decode } from "./signals.js";
 import { formatter } from "./time.js";
 import { SPEED, t } from "./words.js";
 
-/** @typedef {(number | null)[]} Column */
-const KEEP_S = 300, FRAME_MS = 50, HEIGHT = 170, MANY = 20000, GAP_S = 2;
-/** Without a word for so long the stream is taken up anew, from its newest end. */
-const STALE_S = 600;
-const AXES = ["axis-x", "axis-y", "axis-z"];
+const KEEP_S = 360, STALE_S = 600, GAP_S = 2, HEIGHT = 170;
 /** @type {Record<string, string[]>} */
 const GROUPS = { f: ["fx", "fy", "fz"], speed: ["speed"], w: ["wx", "wy", "wz"], m: ["mx", "my", "mz"], temp: ["temp"] };
 
 class LiveMonitor extends HTMLElement {
-  /** @type {Record<string, Column[]>} times, s, and values of each group */ #data = {};
+  /** @type {Record<string, Column[]>} */ #data = {};
   /** @type {Record<string, uPlot>} */ #plots = {};
-  #window = 30;
-  /** How much of the past is here, s. */ #span = 0;
-  #newest = 0;
-  #arrived = 0;
-  #contact = 0;
-  #paused = 0;
-  #drawn = 0;
-  #asking = false;
+  /** Seconds in view, and of the past that is here. */ #window = 30; #span = 0;
+  /** Times in s. */ #newest = 0; #arrived = 0; #contact = 0; #paused = 0; #drawn = 0;
+  /** @type {Promise<void> | undefined} */ #asking;
   #again = false;
 
   connectedCallback() {
     this.addEventListener("click", (event) => this.#press(event));
     document.addEventListener("scatola:change", (event) => {
-      const change = /** @type {CustomEvent} */ (event).detail;
-      if (change.device_id !== this.getAttribute("device")) return;
-      this.#contact = Date.now();
-      void this.#fetch();
+      if (/** @type {CustomEvent<Change>} */ (event).detail.device_id !== this.getAttribute("device")) return;
+      this.#contact = Date.now() / 1000;
+      this.#ask();
     });
-    document.addEventListener("visibilitychange", () => { if (!document.hidden) void this.#fetch(); });
-    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
-      for (const plot of Object.values(this.#plots)) plot.destroy();
-      this.#plots = {};
+    new ResizeObserver(() => this.#discard()).observe(this);
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.#discard());
+    this.#ask();
+    requestAnimationFrame(this.#frame);
+  }
+
+  #ask() {
+    this.#again = !!this.#asking;
+    this.#asking ??= this.#fetch().catch(() => t("The service cannot be reached.")).then((words) => {
+      const line = this.querySelector(".chart-words");
+      if (line) line.textContent = words;
+      this.#asking = undefined;
+      if (this.#again) this.#ask();
     });
-    new ResizeObserver(() => { for (const plot of Object.values(this.#plots)) plot.setSize({ width: plot.root.parentElement?.clientWidth || 300, height: HEIGHT }); }).observe(this);
-    void this.#fetch();
-    requestAnimationFrame((now) => this.#frame(now));
   }
 
   async #fetch() {
-    if (this.#asking) { this.#again = true; return; }
-    this.#asking = true;
-    const fresh = this.#window > this.#span || Date.now() / 1000 - this.#newest > STALE_S;
-    const query = new URLSearchParams({ columns: String(Object.values(GROUPS).flat()), points: String(MANY) });
-    if (fresh) query.set("seconds", String(this.#window));
-    else {
-      query.set("from", new Date(this.#newest * 1000).toISOString());
-      query.set("to", new Date((Math.max(this.#newest, Date.now() / 1000) + STALE_S) * 1000).toISOString());
-    }
-    try {
-      const response = await fetch(`/api/v1/devices/${this.getAttribute("device")}/signals?${query}`);
-      if (response.ok) this.#take(await response.arrayBuffer(), fresh);
-      this.#say(response.ok ? "" : t("The samples cannot be read."));
-    } catch {
-      this.#say(t("The service cannot be reached."));
-    } finally {
-      this.#asking = false;
-      if (this.#again) { this.#again = false; void this.#fetch(); }
-    }
-  }
-
-  /** @param {ArrayBuffer} body @param {boolean} fresh */
-  #take(body, fresh) {
-    const { header, series } = decode(body);
-    const t0 = Date.parse(header.t0) / 1000, since = this.#newest;
-    if (fresh) { this.#data = {}; this.#span = this.#window; }
+    const now = Date.now() / 1000, fresh = this.#window > this.#span || now - this.#newest > STALE_S, span = this.#window;
+    const iso = (/** @type {number} */ s) => new Date(s * 1000).toISOString();
+    const place = fresh ? `seconds=${span}` : `from=${iso(this.#newest)}&to=${iso(Math.max(this.#newest, now) + STALE_S)}`;
+    const response = await fetch(`/api/v1/devices/${this.getAttribute("device")}/signals?points=20000&${place}&columns=${Object.values(GROUPS)}`);
+    if (!response.ok) return t("The samples cannot be read.");
+    const { header, series } = decode(await response.arrayBuffer()), t0 = Date.parse(header.t0) / 1000, before = this.#newest;
+    if (fresh) { this.#data = {}; this.#span = span; }
     for (const [group, names] of Object.entries(GROUPS)) {
-      const columns = (this.#data[group] ??= [[], ...names.map(() => [])]), times = /** @type {number[]} */ (columns[0]);
-      const first = series[names[0] ?? ""];
-      if (!first) continue;
-      const factor = group === "speed" ? SPEED.perMps : 1;
-      first.t.forEach((s, row) => {
-        const at = t0 + s, before = times[times.length - 1];
-        if (before !== undefined && at <= before + 1e-4) return;
-        if (before !== undefined && at - before > GAP_S && first.values[row] === first.values[row]) {
-          times.push((at + before) / 2);
-          columns.slice(1).forEach((column) => column.push(null));
-        }
-        times.push(at);
-        names.forEach((name, k) => { const v = series[name]?.values[row] ?? NaN; columns[k + 1]?.push(Number.isNaN(v) ? null : v * factor); });
+      const columns = (this.#data[group] ??= [[], ...names.map(() => [])]), times = columns[0] ?? [];
+      series[names[0] ?? ""]?.t.forEach((s, row) => {
+        const at = t0 + s, last = times.at(-1) ?? -Infinity;
+        if (at < last + 1e-4) return;
+        const values = names.map((name) => series[name]?.values[row] ?? NaN);
+        if (at - last > GAP_S && last > 0) columns.forEach((column, k) => column.push(k ? null : (at + last) / 2));
+        columns.forEach((column, k) => { const v = values[k - 1] ?? at; column.push(Number.isNaN(v) ? null : group === "speed" && k ? v * SPEED.perMps : v); });
         this.#newest = Math.max(this.#newest, at);
       });
-      const old = times.findIndex((at) => at > this.#newest - 1.2 * KEEP_S);
-      if (old > 0) for (const column of columns) column.splice(0, old);
+      const old = times.findIndex((at) => (at ?? 0) > this.#newest - KEEP_S);
+      columns.forEach((column) => column.splice(0, Math.max(old, 0)));
       this.#plots[group]?.setData(/** @type {uPlot.AlignedData} */ (columns), false);
+      names.forEach((name, k) => this.#say("now", name, columns[k + 1]?.at(-1), 2));
     }
-    if (this.#newest > since) this.#arrived = performance.now();
-    this.#values();
+    if (this.#newest > before) this.#arrived = performance.now();
+    return "";
   }
 
-  /** The newest values beside the names of the axes. */
-  #values() {
-    for (const [group, names] of Object.entries(GROUPS)) names.forEach((name, k) => {
-      const place = this.querySelector(`[data-now="${name}"]`);
-      if (place) place.textContent = this.#data[group]?.[k + 1]?.at(-1)?.toFixed(2) ?? "";
-    });
+  /** @param {string} kind @param {string} name @param {number | null | undefined} value @param {number} digits */
+  #say(kind, name, value, digits) {
+    const place = this.querySelector(`[data-${kind}="${name}"]`);
+    if (place) place.textContent = value?.toFixed(digits) ?? "–";
   }
 
-  /** @param {string} name @param {number} since ms @param {number} digits */
-  #age(name, since, digits) {
-    const place = this.querySelector(`[data-age="${name}"]`);
-    if (place && since) place.textContent = ((Date.now() - since) / 1000).toFixed(digits);
-  }
-
-  /** @param {number} now */
-  #frame(now) {
-    requestAnimationFrame((next) => this.#frame(next));
+  #frame = (/** @type {number} */ now) => {
+    requestAnimationFrame(this.#frame);
     // No oftener than the picture moves by a pixel.
-    if (now - this.#drawn < Math.max(FRAME_MS, (1000 * this.#window) / this.clientWidth) || !this.#newest) return;
+    if (now - this.#drawn < Math.max(50, (1000 * this.#window) / this.clientWidth) || !this.#newest) return;
     this.#drawn = now;
-    this.#age("sample", this.#newest * 1000, 1);
-    this.#age("contact", this.#contact, 0);
-    const edge = this.#paused || this.#newest + Math.min((now - this.#arrived) / 1000, this.#window / 2);
+    this.#say("age", "sample", Date.now() / 1000 - this.#newest, 1);
+    if (this.#contact) this.#say("age", "contact", Date.now() / 1000 - this.#contact, 0);
+    const max = this.#paused || this.#newest + Math.min((now - this.#arrived) / 1000, this.#window / 2);
     for (const group of Object.keys(GROUPS)) {
-      const host = this.querySelector(`[data-group="${group}"]`);
-      if (host instanceof HTMLElement && !host.hidden) (this.#plots[group] ??= this.#plot(group, host)).setScale("x", { min: edge - this.#window, max: edge });
+      const host = this.querySelector(`[data-group="${group}"]:not([hidden]) .plot`);
+      if (host instanceof HTMLElement) (this.#plots[group] ??= this.#plot(group, host)).setScale("x", { min: max - this.#window, max });
     }
-  }
+  };
 
   /** @param {string} group @param {HTMLElement} host */
   #plot(group, host) {
-    const place = /** @type {HTMLElement} */ (host.querySelector(".plot")), names = GROUPS[group] ?? [];
-    const axis = { stroke: colour("muted"), grid: { stroke: colour("line"), width: 1 }, ticks: { show: false }, font: "12px system-ui, sans-serif" };
-    const clock = formatter({ hour: "2-digit", minute: "2-digit", second: "2-digit" });
-    /** @type {uPlot.Options} */
-    const options = {
-      width: place.clientWidth, height: HEIGHT, legend: { show: false }, cursor: { show: false },
-      scales: { x: { auto: false }, y: { range: (_, low, high) => (low === null ? [0, 1] : [low - 0.1 * (high - low) - 0.5, high + 0.1 * (high - low) + 0.5]) } },
-      axes: [{ ...axis, space: 90, size: 30, values: (_, ticks) => ticks.map((s) => clock.format(s * 1000)) }, { ...axis, size: 48 }],
-      series: [{}, ...names.map((_, k) => ({ stroke: colour(names.length > 1 ? AXES[k] ?? "track" : "track"), width: 1.2, points: { show: false } }))],
-    };
-    return new uPlot(options, /** @type {uPlot.AlignedData} */ (this.#data[group] ?? [[]]), place);
+    const names = GROUPS[group] ?? [], clock = formatter({ hour: "2-digit", minute: "2-digit", second: "2-digit" });
+    return new uPlot({
+      width: host.clientWidth, height: HEIGHT, legend: { show: false }, cursor: { show: false },
+      scales: { x: { auto: false }, y: { range: (_, low, high) => { const room = 0.1 * (high - low) + 0.5; return [(low ?? 0) - room, (high ?? 0) + room]; } } },
+      axes: [{ ...chartAxis(), space: 90, size: 30, values: (_, ticks) => ticks.map((s) => clock.format(s * 1000)) }, { ...chartAxis(), size: 48 }],
+      series: [{}, ...names.map((name) => ({ stroke: colour(names.length > 1 ? `axis-${name[1]}` : "track"), width: 1.2, points: { show: false } }))],
+    }, /** @type {uPlot.AlignedData} */ (this.#data[group] ?? [[]]), host);
+  }
+
+  #discard() {
+    Object.values(this.#plots).forEach((plot) => plot.destroy());
+    this.#plots = {};
   }
 
   /** @param {Event} event */
   #press(event) {
     const button = event.target instanceof Element ? event.target.closest("button") : null;
     if (!button) return;
-    const choice = button.parentElement?.dataset.choice, on = button.getAttribute("aria-pressed") !== "true";
+    const choice = button.parentElement?.dataset.choice, on = button.ariaPressed !== "true";
+    button.ariaPressed = String(on);
     if (choice === "window") {
       this.#window = Number(button.value);
-      for (const one of button.parentElement?.children ?? []) one.setAttribute("aria-pressed", String(one === button));
-      return void this.#fetch();
-    }
-    button.setAttribute("aria-pressed", String(on));
-    if (choice === "more") this.querySelector(`[data-group="${button.value}"]`)?.toggleAttribute("hidden", !on);
+      for (const one of button.parentElement?.children ?? []) one.ariaPressed = String(one === button);
+      this.#ask();
+    } else if (choice) this.querySelector(`[data-group="${button.value}"]`)?.toggleAttribute("hidden", !on);
     else this.#paused = on ? this.#newest : 0;
-  }
-
-  /** @param {string} words */
-  #say(words) {
-    const line = this.querySelector(".chart-words");
-    if (line) line.textContent = words;
   }
 }
 
