@@ -22,8 +22,10 @@ from server.formats.columns import Columns
 from server.formats.drive import from_drive
 from server.formats.tables import write_csv
 from server.jobs.analyses import Runner, work_off
+from server.jobs.work import bring_up_to_date
 from server.models import Analysis, AuditEntry, Change
 from server.store import collect
+from tests.conftest import ADMIN_TOKEN
 from tests.recordings import folder
 
 PATH = "/api/v1/analyses"
@@ -302,6 +304,61 @@ def test_the_process_does_the_work_on_the_settings_of_its_worker(admin, settings
     assert admin.get(f"{PATH}/{asked}").json()["status"] == "done"
 
 
+# --- the page's form
+
+
+@pytest.fixture
+def browser(client):
+    """A signed-in session that posts forms as a browser does."""
+    csrf = client.post("/api/v1/auth/session", json={"code": ADMIN_TOKEN}).json()["csrf_token"]
+
+    def post(typed: dict[str, str], body: bytes = b"", *, token: str = csrf, first: bool = True):
+        fields = {"csrf_token": token, **typed} if first else {**typed, "csrf_token": token}
+        files = {name: (None, value) for name, value in fields.items()} | {"file": ("rest.parquet", body)}
+        return client.post("/workbench", files=files)
+
+    return post
+
+
+def test_the_form_asks_as_the_api_does(browser, admin, work):
+    typed = {"kind": "allan", "terms": "N", "rate_hz": "99,5", "shortest_s": "", "window_s": "1", "outage_s": "30"}
+    answer = browser(typed, noise().to_parquet())
+    assert answer.status_code == 303, answer.text
+    asked = answer.headers["location"].removeprefix("/workbench/")
+    told = admin.get(f"{PATH}/{asked}").json()
+    assert told["parameters"] == {"terms": "N", "rate_hz": 99.5, "shortest_s": 0.0}
+    assert told["name"] == "rest.parquet"
+    work()
+    again = browser({"kind": "allan", "again": asked, "terms": "NB"})
+    assert again.status_code == 303
+    assert admin.get(f"{PATH}/{again.headers['location'][11:]}").json()["input_sha256"] == told["input_sha256"]
+    gyro = browser({"kind": "gyro", "again": asked, "rates_deg_s": "50, 100;200", "window_s": "1"})
+    parameters = admin.get(f"{PATH}/{gyro.headers['location'][11:]}").json()["parameters"]
+    assert parameters == {"rates_deg_s": [50.0, 100.0, 200.0], "window_s": 1.0, "rows_are_poses": False}
+
+
+def test_the_form_says_what_is_wrong(browser, admin):
+    body = noise().to_parquet()
+    for typed, sent, words in (
+        ({"kind": "allan"}, b"", "Choose a file or a trip."),
+        ({"kind": "allan", "rate_hz": "-1"}, body, "rate_hz"),
+        ({"kind": "gyro"}, body, "rates_deg_s"),
+        ({"kind": "horoscope"}, body, "not one of the list"),
+    ):
+        answer = browser(typed, sent)
+        assert answer.status_code == 422
+        assert words in answer.text
+    assert browser({"kind": "allan"}, body, token="wrong").status_code == 403
+    # The token stands before the file: nobody waits for 64 MB to learn that a form is forged.
+    assert browser({"kind": "allan", "x": "x" * 70_000}, body, first=False).status_code == 403
+    assert admin.get(PATH).json()["items"] == []
+
+
+def test_a_form_that_is_too_large_is_refused(browser, admin):
+    assert browser({"kind": "allan"}, b"\0" * (MAX_FILE_BYTES + 2**21)).status_code == 413
+    assert admin.get(PATH).json()["items"] == []
+
+
 # --- what comes out
 
 
@@ -353,6 +410,35 @@ def test_estimators_come_side_by_side_with_their_way(admin, work, drive):
     page = admin.get(f"/workbench/{asked}")
     assert page.text.count("<figure") == 7
     assert "About z, down" in admin.get(f"/workbench/{asked}?show=apart").text
+
+
+def test_a_trip_is_analysed_against_the_mounting_that_was_entered(
+    admin, client, app, database, make_device, work, drive
+):
+    device, token = make_device()
+    recording, truth = drive
+    body = from_drive(recording).to_parquet()
+    sent = client.post(
+        "/api/v1/batches",
+        content=body,
+        headers={
+            "Authorization": f"Bearer {token}",
+            "Idempotency-Key": "b/0",
+            "Content-Type": "application/vnd.apache.parquet",
+        },
+    )
+    assert sent.status_code == 202, sent.text
+    bring_up_to_date(database, app.state.store, device, clock=lambda: dt.datetime(2026, 3, 1, 13, tzinfo=dt.UTC))
+    entered = {"mountings": [{"from": "2000-01-01T00:00:00Z", "R_va": truth.R_va.tolist()}]}
+    admin.put(f"/api/v1/devices/{device}/reference", json=entered).raise_for_status()
+    trips = admin.get("/api/v1/trips").json()["items"]
+    asked = ask(admin, "mounting", trip=trips[0]["id"], parameters='{"methods": ["two-phase", "whole-drive"]}')
+    assert asked.status_code == 202, asked.text
+    work()
+    document = admin.get(f"{PATH}/{asked.json()['id']}/result").json()
+    assert document["reference"]["from"] == "given"
+    assert 0.0 < document["methods"]["whole-drive"]["apart_deg"] < 3.0
+    assert len(document["input_sha256"]) == 64
 
 
 def test_parameters_are_checked_without_the_numerics():
