@@ -202,7 +202,7 @@ async def _csrf_of_form(receive: Receive) -> tuple[str | None, Receive]:
 async def _csrf_of_upload(receive: Receive) -> tuple[str | None, Receive]:
     """The token of a form with a file, in which it must stand first; the file itself is not waited for."""
     body, again = await _beginning(receive, _MAX_FORM_BYTES, lambda body: _CSRF_PART.search(body) is not None)
-    found = _CSRF_PART.search(body)
+    found = _CSRF_PART.search(body, 0, _MAX_FORM_BYTES)
     return None if found is None else found[1].decode("latin-1"), again
 
 
