@@ -19,6 +19,7 @@ from server.accounts.audit import RecentLooks
 from server.accounts.gate import AccessGate
 from server.accounts.service import ensure_organisation
 from server.alerts import routes as alerts
+from server.analyses import routes as analyses
 from server.bulk import routes as bulk
 from server.contradictions import routes as contradictions
 from server.database import Database
@@ -40,6 +41,7 @@ from server.pages import alerts as alert_pages
 from server.pages import fleet_routes, templating
 from server.pages import privacy as privacy_pages
 from server.pages import routes as pages
+from server.pages import workbench as workbench_pages
 from server.privacy import routes as privacy
 from server.reports import routes as reports
 from server.resources import folder
@@ -143,6 +145,7 @@ def create_app(settings: Settings, *, clock: Clock = utc_now) -> FastAPI:
         contradictions,
         live,
         signals,
+        analyses,
         tickets,
         replay,
         operations,
@@ -153,13 +156,19 @@ def create_app(settings: Settings, *, clock: Clock = utc_now) -> FastAPI:
         account_pages,
         privacy_pages,
         alert_pages,
+        workbench_pages,
     ):
         app.include_router(part.router, responses=problems.described(401, 403, 404, 422))
     app.mount("/static/vendor", StaticFiles(directory=folder("web") / "vendor", check_dir=False))
     app.mount("/static", StaticFiles(directory=folder("web") / "static", check_dir=False))
 
     # The last that is added is the outermost.
-    app.add_middleware(BodyLimit, max_bytes=MAX_JSON_BYTES, except_paths=frozenset({ingest.PATH}))
+    app.add_middleware(
+        BodyLimit,
+        max_bytes=MAX_JSON_BYTES,
+        except_paths=frozenset({ingest.PATH, analyses.PATH}),
+        larger={workbench_pages.PATH: analyses.MAX_FILE_BYTES + MAX_JSON_BYTES},
+    )
     app.add_middleware(AccessGate)
     app.add_middleware(SecurityHeaders, settings=settings)
     app.add_middleware(RequestTelemetry, telemetry=telemetry)

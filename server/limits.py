@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from fastapi import Request
@@ -57,21 +58,25 @@ class TokenBuckets:
 
 
 class BodyLimit:
-    """Bodies of ordinary requests stay small; routes in `except_paths` keep a limit of their own."""
+    """Ordinary bodies stay small; routes in `except_paths` have limits of their own, those in `larger` another."""
 
-    def __init__(self, app: ASGIApp, *, max_bytes: int, except_paths: frozenset[str]) -> None:
+    def __init__(
+        self, app: ASGIApp, *, max_bytes: int, except_paths: frozenset[str], larger: Mapping[str, int] | None = None
+    ) -> None:
         self._app = app
         self._max_bytes = max_bytes
         self._except_paths = except_paths
+        self._larger = larger or {}
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] != "http" or scope["path"] in self._except_paths:
             await self._app(scope, receive, send)
             return
         request = Request(scope)
+        max_bytes = self._larger.get(scope["path"], self._max_bytes)
         announced = request.headers.get("content-length", "")
-        if announced.isdecimal() and int(announced) > self._max_bytes:
-            error = TooLargeError(f"Body is larger than {self._max_bytes} bytes")
+        if announced.isdecimal() and int(announced) > max_bytes:
+            error = TooLargeError(f"Body is larger than {max_bytes} bytes")
             await problem_response(error, request)(scope, receive, send)
             return
         seen = 0
@@ -80,8 +85,8 @@ class BodyLimit:
             nonlocal seen
             message = await receive()
             seen += len(message.get("body", b""))
-            if seen > self._max_bytes:
-                raise HTTPException(413, f"Body is larger than {self._max_bytes} bytes")
+            if seen > max_bytes:
+                raise HTTPException(413, f"Body is larger than {max_bytes} bytes")
             return message
 
         await self._app(scope, counted, send)

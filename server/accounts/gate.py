@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 import datetime as dt
 import re
+from collections.abc import Callable
 from typing import cast
 from urllib.parse import parse_qs, quote, urlsplit
 
@@ -36,6 +37,7 @@ _CLAIM = ("/api/v1/claim",)
 _VIEW = re.compile(r"/view3d/(?P<ticket>[A-Za-z0-9_-]{16,})/(?P<device>[0-9a-f]{32})(?:/.*)?")
 _SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
 _MAX_FORM_BYTES = 64 * 1024
+_CSRF_PART = re.compile(rb'name="csrf_token"\r\n\r\n([^\r\n]*)\r\n')
 
 
 def _is_below(path: str, roots: tuple[str, ...]) -> bool:
@@ -167,6 +169,8 @@ async def _check_browser(connection: HTTPConnection, caller: Caller, receive: Re
     given = connection.headers.get("x-csrf-token")
     if given is None and connection.headers.get("content-type", "").startswith("application/x-www-form-urlencoded"):
         given, receive = await _csrf_of_form(receive)
+    elif given is None and connection.headers.get("content-type", "").startswith("multipart/form-data"):
+        given, receive = await _csrf_of_upload(receive)
     if given is None or caller.csrf_token is None or not same(given, caller.csrf_token):
         raise ForbiddenError("The CSRF token is missing or not this session's", code="csrf")
     return receive
@@ -189,15 +193,29 @@ def _check_origin(connection: HTTPConnection) -> None:
 
 async def _csrf_of_form(receive: Receive) -> tuple[str | None, Receive]:
     """The token in a form, and a `receive` that gives the form again."""
+    body, again = await _beginning(receive, _MAX_FORM_BYTES, lambda _: False)
+    if len(body) > _MAX_FORM_BYTES:
+        raise ForbiddenError("The form is too large to look for its CSRF token", code="csrf")
+    return parse_qs(body.decode("latin-1")).get("csrf_token", [None])[0], again
+
+
+async def _csrf_of_upload(receive: Receive) -> tuple[str | None, Receive]:
+    """The token of a form with a file, in which it must stand first; the file itself is not waited for."""
+    body, again = await _beginning(receive, _MAX_FORM_BYTES, lambda body: _CSRF_PART.search(body) is not None)
+    found = _CSRF_PART.search(body, 0, _MAX_FORM_BYTES)
+    return None if found is None else found[1].decode("latin-1"), again
+
+
+async def _beginning(receive: Receive, most: int, enough: Callable[[bytes], bool]) -> tuple[bytes, Receive]:
+    """A body until it is enough, ends or is more than `most` bytes, and a `receive` that gives all of it."""
     messages: list[Message] = []
     body = b""
     while True:
         message = await receive()
         messages.append(message)
         body += message.get("body", b"")
-        if len(body) > _MAX_FORM_BYTES:
-            raise ForbiddenError("The form is too large to look for its CSRF token", code="csrf")
-        if message["type"] != "http.request" or not message.get("more_body", False):
+        ended = message["type"] != "http.request" or not message.get("more_body", False)
+        if ended or len(body) > most or enough(body):
             break
     pending = iter(messages)
 
@@ -205,7 +223,7 @@ async def _csrf_of_form(receive: Receive) -> tuple[str | None, Receive]:
         message = next(pending, None)
         return message if message is not None else await receive()
 
-    return parse_qs(body.decode("latin-1")).get("csrf_token", [None])[0], again
+    return body, again
 
 
 async def _refuse(error: ProblemError, connection: HTTPConnection, receive: Receive, send: Send) -> None:

@@ -4,39 +4,29 @@ from __future__ import annotations
 
 import argparse
 import json
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from server.analyses.compute.triads import TRIADS, UNITS, Triad, read_triad
 from server.cli.progress import progress
-from server.cli.triads import TRIADS, UNITS, Triad, read_triad
 from server.formats.columns import Floats
 from server.formats.drive import DriveFileError
 from server.settings import set_numba_cache_dir
 
 if TYPE_CHECKING:
-    from nav_core.sensors import Calibration, TemperatureFit, TurnOnBias
+    from nav_core.sensors import TemperatureFit, TurnOnBias
+    from server.analyses.compute.calibration import Result
 
 _ANGLES = ("roll_deg", "pitch_deg", "yaw_deg")
-_STEADY = 0.1
-"""Share by which a mean rate may miss one of the turntable's and still be taken for it; real scales miss by less."""
-
-
-@dataclass(frozen=True)
-class _Result:
-    """A calibration, what it was made of, and its errors before and after."""
-
-    method: str
-    calibration: Calibration
-    before: Floats
-    field: float | None = None
 
 
 def calibrate(args: argparse.Namespace) -> int:
     """`scatola calibrate`."""
     set_numba_cache_dir()
+    from server.analyses.compute.calibration import calibration_json
+
     triad = read_triad(args.file, args.sensor)
     quality: list[str] = []
     progress(f"{args.sensor}: {len(triad.t)} samples")
@@ -50,7 +40,7 @@ def calibrate(args: argparse.Namespace) -> int:
         "sensor": args.sensor,
         "unit": UNITS[args.sensor],
         "method": "rest" if result is None else result.method,
-        **_calibration_json(result),
+        **calibration_json(result),
         "turn_on_bias": _turn_on_json(turn_on),
         "temperature": _temperature_json(temperature),
         "quality": quality,
@@ -63,49 +53,28 @@ def calibrate(args: argparse.Namespace) -> int:
     return 0
 
 
-def _by_itself(args: argparse.Namespace, triad: Triad, quality: list[str]) -> _Result | None:
-    from nav_core.sensors import calibrate_field, calibrate_positions
+def _by_itself(args: argparse.Namespace, triad: Triad, quality: list[str]) -> Result | None:
+    from server.analyses.compute import calibration as compute
 
     if args.sensor == "mag":
-        size = None if args.field is None else float(np.linalg.norm(args.field))
-        found = calibrate_field(triad.values, size)
-        before = np.linalg.norm(triad.values, axis=1) - found.field
-        return _Result("ellipsoid", found.calibration, before, found.field)
+        return compute.by_field(triad.values, None if args.field is None else float(np.linalg.norm(args.field)))
     if args.sensor == "gyro" and args.speeds is None:
         quality.append("bias only: give --speeds for a turntable or --reference for scale and misalignment")
         return None
-    poses = _poses(args, triad)
+    poses = compute.pose_means(triad, args.window, rows_are_poses=args.poses)
     if args.sensor == "accel":
-        calibration = calibrate_positions(poses, args.gravity)
-        return _Result("positions", calibration, np.linalg.norm(poses, axis=1) - args.gravity)
-    speeds = np.radians(np.abs(args.speeds))
-    turning = np.linalg.norm(poses, axis=1)
-    nearest = speeds[np.argmin(np.abs(turning[:, None] - speeds), axis=1)]
-    meant = np.abs(turning - nearest) < _STEADY * nearest
-    dropped = int(np.count_nonzero(~meant))
-    if dropped:
-        quality.append(f"{dropped} steady stretches turn at none of the given rates; not used")
-    calibration = calibrate_positions(poses[meant], nearest[meant])
-    return _Result("turntable", calibration, (turning - nearest)[meant])
+        return compute.by_gravity(poses, args.gravity)
+    return compute.by_turntable(*compute.turned_at(poses, np.radians(np.abs(args.speeds)), quality))
 
 
-def _poses(args: argparse.Namespace, triad: Triad) -> Floats:
-    """Mean readings of the poses: rows as they are, or stretches in which the readings do not change."""
-    from nav_core.sensors import interval_means, static_intervals
-
-    if args.poses:
-        return triad.values
-    stretches = static_intervals(triad.t, triad.values, window=args.window, shortest=args.window)
-    return interval_means(triad.values, stretches).mean
-
-
-def _by_reference(args: argparse.Namespace, triad: Triad) -> _Result:
+def _by_reference(args: argparse.Namespace, triad: Triad) -> Result:
     from nav_core.sensors import calibrate_reference
+    from server.analyses.compute.calibration import Result
 
     t, truth = _reference(args)
     inside = (triad.t >= t[0]) & (triad.t <= t[-1])
     at = np.column_stack([np.interp(triad.t[inside], t, column) for column in truth.T])
-    return _Result("reference", calibrate_reference(triad.values[inside], at), triad.values[inside] - at)
+    return Result("reference", calibrate_reference(triad.values[inside], at), triad.values[inside] - at)
 
 
 def _reference(args: argparse.Namespace) -> tuple[Floats, Floats]:
@@ -162,32 +131,6 @@ def _at_rest(
         return turn_on, None
 
 
-def _calibration_json(result: _Result | None) -> dict[str, Any]:
-    if result is None:
-        keys = ("parameters", "gain", "bias", "matrix", "rms_before", "rms_after", "poses", "field_ut")
-        return dict.fromkeys(keys)
-    found = result.calibration
-    rows = zip(found.names, found.values, found.sigma, found.interval(), strict=True)
-    return {
-        "parameters": [
-            {"name": name, "value": float(value), "sigma": float(sigma), "interval95": interval.tolist()}
-            for name, value, sigma, interval in rows
-        ],
-        "gain": found.gain.tolist(),
-        "bias": found.bias.tolist(),
-        "matrix": found.matrix.tolist(),
-        "rms_before": np.sqrt(np.mean(result.before**2, axis=0)).tolist(),
-        "rms_after": found.rms.tolist(),
-        "poses": {
-            "count": found.poses.count,
-            "needed": found.poses.needed,
-            "condition": found.poses.condition,
-            "enough": True,
-        },
-        "field_ut": result.field,
-    }
-
-
 def _turn_on_json(found: TurnOnBias | None) -> dict[str, Any] | None:
     if found is None:
         return None
@@ -225,7 +168,7 @@ def _in_words(document: dict[str, Any]) -> str:
     return "\n".join([*lines, *(f"- {remark}" for remark in document["quality"])])
 
 
-def _plot(path: Path, sensor: str, result: _Result) -> None:
+def _plot(path: Path, sensor: str, result: Result) -> None:
     """Errors before and after: of the magnitude, or of each axis."""
     from matplotlib.figure import Figure
 

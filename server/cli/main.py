@@ -288,6 +288,9 @@ def _add_service_commands(add: Add) -> None:
     fleet.add_argument("--url", required=True)
     fleet.add_argument("--speed", type=float, default=30.0)
     fleet.add_argument("--history-minutes", type=float, default=40.0)
+    analysis = add("analysis", "processes:analysis", "Do one analysis of the workbench (started by the worker).")
+    analysis.add_argument("id")
+    analysis.add_argument("attempt", type=int)
     add("warm-up", "processes:warm_up", "Compile the numerical kernels into the cache.")
 
 

@@ -6,7 +6,7 @@ import argparse
 import json
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,63 +16,36 @@ from server.settings import set_numba_cache_dir
 if TYPE_CHECKING:
     from nav_core.navigation import Solution
     from nav_core.records import Drive
-    from nav_core.timebase import ClockFit, Gap
+    from nav_core.timebase import Gap
     from nav_core.typing import Floats
-
-NAMES = ("lat", "lon", "alt", "vn", "ve", "vd", "roll", "pitch", "yaw")
-
+    from server.analyses.compute import track
 
 USUAL_LATENCY = 0.4
 """Of a receiver whose lag is not known, s: to half a second on either side its pulses can be numbered."""
 
 
-class Mounting(NamedTuple):
-    """What navigation needs of a mounting; lags in s, None where not known."""
-
-    R_va: Floats
-    sigma: float
-    speed_lag: float | None
-    course_lag: float | None
-
-
-class Clock(NamedTuple):
-    """The box clock against UTC, and where the fit comes from; the latency of the fixes is known from pulses alone."""
-
-    fit: ClockFit
-    source: str
-    latency: float | None
-
-
 def navigate(args: argparse.Namespace) -> int:
     """Read, navigate, write the track, report."""
     set_numba_cache_dir()
-    from nav_core.navigation import Vehicle, navigate_without_gyro, outages
-    from nav_core.navigation import navigate as run
+    from nav_core.navigation import outages
+    from server.analyses.compute import track
     from server.formats.drive import read_drive_file
 
     drive = read_drive_file(args.drive)
     progress("mounting")
-    mounting = _mounting(drive, args.mount)
+    mounting = track.mounting_of(drive) if args.mount is None else _told(args.mount)
     progress("track")
     clock = clock_of(drive, args.pulses, mounting.speed_lag)
-    R_va, smoothed = mounting.R_va, not args.forward
     # No lag is shorter than the way of the message; where the drive does not tell more, it is taken for that.
-    least = (clock.latency if clock is not None else None) or 0.0
-    speed_lag = least if mounting.speed_lag is None else mounting.speed_lag
-    course_lag = least if mounting.course_lag is None else mounting.course_lag
-    if drive.inertial.w is None:
-        solution = navigate_without_gyro(drive, R_va, speed_lag=speed_lag, course_lag=course_lag, smoothed=smoothed)
-    else:
-        vehicle = Vehicle(mount_sigma=mounting.sigma)
-        solution = run(drive, R_va, vehicle=vehicle, speed_lag=speed_lag, course_lag=course_lag, smoothed=smoothed)
+    mounting = track.lagged(mounting, (clock.latency if clock is not None else None) or 0.0)
+    solution = track.solve(drive, mounting, smoothed=not args.forward)
     spans = outages(drive.gnss)
-    table = track_of(solution)
-    write_track(args.out, table)
+    write_track(args.out, track.track_of(solution))
     if args.plot is not None:
         progress("figure")
         plot(args.plot, solution, drive, spans)
     progress("")
-    report = report_of(solution, spans, mounting._replace(speed_lag=speed_lag, course_lag=course_lag), clock)
+    report = track.report_of(solution, spans, mounting, clock)
     if args.json:
         print(json.dumps({"out": str(args.out), **report}))
         return 0
@@ -89,25 +62,6 @@ def navigate(args: argparse.Namespace) -> int:
     return 0
 
 
-def track_of(solution: Solution) -> dict[str, Floats]:
-    """Columns of the track: SI and radians, but degrees for latitude and longitude and their sigmas."""
-    from nav_core.earth import radii
-
-    meridian, normal = radii(solution.lat)
-    sigma, euler = solution.sigma, solution.euler
-    if solution.method == "position-velocity":
-        euler[:, :2] = np.nan  # taken to be level, not measured
-    north = np.degrees(sigma[:, 0] / (meridian + solution.height))
-    east = np.degrees(sigma[:, 1] / ((normal + solution.height) * np.cos(solution.lat)))
-    values = (np.degrees(solution.lat), np.degrees(solution.lon), solution.height, *solution.velocity.T, *euler.T)
-    sigmas = (north, east, sigma[:, 2], *sigma[:, 3:6].T, *solution.euler_sigma.T)
-    return {
-        "t": solution.t,
-        **dict(zip(NAMES, values, strict=True)),
-        **{f"{name}_sigma": column for name, column in zip(NAMES, sigmas, strict=True)},
-    }
-
-
 def write_track(path: Path, columns: dict[str, Floats]) -> None:
     """Parquet where the name ends so, else CSV; nothing where not known."""
     import pyarrow as pa
@@ -121,14 +75,15 @@ def write_track(path: Path, columns: dict[str, Floats]) -> None:
         csv.write_csv(table, path, csv.WriteOptions(quoting_style="none", quoting_header="none"))
 
 
-def clock_of(drive: Drive, pulses: Path | None, speed_lag: float | None) -> Clock | None:
+def clock_of(drive: Drive, pulses: Path | None, speed_lag: float | None) -> track.Clock | None:
     """Date the box clock: by the pulse per second where a file of its box times is given, else by the fixes."""
     from nav_core.timebase import fit_clock, fit_pulses
+    from server.analyses.compute import track
 
     utc = drive.gnss.utc
     dated = utc is not None and bool(np.isfinite(utc).any())
     if pulses is None:
-        return Clock(fit_clock(drive.gnss.t, utc), "fixes", None) if utc is not None and dated else None
+        return track.Clock(fit_clock(drive.gnss.t, utc), "fixes", None) if utc is not None and dated else None
     if utc is None or not dated:
         raise ValueError("the pulses need fixes with utc, which say which second each pulse begins")
     t = read_pulses(pulses)
@@ -138,7 +93,7 @@ def clock_of(drive: Drive, pulses: Path | None, speed_lag: float | None) -> Cloc
     coarse = fit_clock(drive.gnss.t, utc)
     fine = fit_pulses(t[inside], coarse, lag=USUAL_LATENCY if speed_lag is None else speed_lag)
     middle = np.array([coarse.t_ref])
-    return Clock(fine, "pulses", float((fine.utc(middle) - coarse.utc(middle))[0]))
+    return track.Clock(fine, "pulses", float((fine.utc(middle) - coarse.utc(middle))[0]))
 
 
 def read_pulses(path: Path) -> Floats:
@@ -156,81 +111,10 @@ def read_pulses(path: Path) -> Floats:
     return t
 
 
-def report_of(
-    solution: Solution, spans: tuple[Gap, ...], mounting: Mounting, clock: Clock | None = None
-) -> dict[str, Any]:
-    """What the command says of a track."""
-    from nav_core.navigation import radius
+def _told(path: Path) -> track.Mounting:
+    from server.analyses.compute.track import mounting_from
 
-    reach = radius(solution)
-    speed = np.hypot(solution.velocity[:, 0], solution.velocity[:, 1])
-    steps = np.diff(solution.t)
-    quality = [remark.detail for remark in solution.remarks]
-    inertial = solution.method == "inertial-gnss"
-    if not inertial:
-        quality.append("No gyro: position and velocity from accelerometer and GPS, heading from the GPS course alone")
-    if solution.rejected:
-        quality.append(f"{solution.rejected} of {solution.fixes} fixes contradicted the motion and were left out")
-    return {
-        "method": solution.method,
-        "smoothed": solution.smoothed,
-        "begin_s": float(solution.t[0]),
-        "end_s": float(solution.t[-1]),
-        "duration_s": float(solution.t[-1] - solution.t[0]),
-        "distance_km": 1e-3 * float(np.sum(0.5 * steps * (speed[1:] + speed[:-1]))),
-        "max_speed_kmh": 3.6 * float(speed.max()),
-        "standing_s": float(steps @ solution.still[1:]) if inertial else None,
-        "fixes": solution.fixes,
-        "fixes_rejected": solution.rejected,
-        "radius95_m": {"median": float(np.median(reach)), "max": float(reach.max())},
-        "outages": [_outage(span, solution.t, reach) for span in spans if span.end > solution.t[0]],
-        "accel_bias_mps2": solution.bias[-1, :3].tolist() if inertial else None,
-        "gyro_bias_deg_s": np.degrees(solution.bias[-1, 3:]).tolist() if inertial else None,
-        "R_va": mounting.R_va.tolist(),
-        "gps_lag_s": {"speed": mounting.speed_lag, "course": mounting.course_lag},
-        "clock": None
-        if clock is None
-        else {
-            "source": clock.source,
-            "utc_at_begin": float(clock.fit.utc(solution.t[:1])[0]),
-            "drift_ppm": 1e6 * clock.fit.drift,
-            "sigma_s": clock.fit.sigma,
-            "fix_latency_s": clock.latency,
-        },
-        "quality": quality,
-    }
-
-
-def _outage(span: Gap, t: Floats, reach: Floats) -> dict[str, float | None]:
-    within = reach[(t >= span.begin) & (t <= span.end)]
-    return {
-        "begin_s": span.begin,
-        "end_s": span.end,
-        "duration_s": span.end - span.begin,
-        "radius95_m": float(within.max()) if within.size else None,
-    }
-
-
-def _mounting(drive: Drive, path: Path | None) -> Mounting:
-    from server.installations.result import mount_json
-
-    if path is None:
-        from nav_core.mounting import estimate_mounting
-
-        document, source = mount_json(estimate_mounting(drive)), "the drive itself"
-    else:
-        document, source = json.loads(path.read_text(encoding="utf-8")), str(path)
-    if not isinstance(document, dict) or document.get("R_va") is None:
-        reasons: list[str] = document.get("reasons") or [] if isinstance(document, dict) else []
-        raise ValueError(f"{source} does not tell the mounting; {' '.join(reasons) or 'give one with --mount'}")
-    lags: dict[str, float | None] = document.get("gps_lag_s") or {}
-    sigma = document.get("sigma_deg")
-    return Mounting(
-        np.array(document["R_va"], dtype=np.float64),
-        math.radians(max(sigma.values())) if sigma else math.radians(1.0),
-        lags.get("speed"),
-        lags.get("course"),
-    )
+    return mounting_from(json.loads(path.read_text(encoding="utf-8")), str(path))
 
 
 def plot(path: Path, solution: Solution, drive: Drive, spans: tuple[Gap, ...]) -> None:

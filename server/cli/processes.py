@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import functools
+import os
 import sys
 import tempfile
 import threading
@@ -55,6 +56,29 @@ def viewer(args: argparse.Namespace) -> int:
     stop = threading.Event()
     follow_parent(stop.set)
     run_viewer(settings, host=args.host, port=args.port, stop=stop)
+    return 0
+
+
+def analysis(args: argparse.Namespace) -> int:
+    """`scatola analysis`: one attempt at an analysis, ended with the worker that started it."""
+    set_numba_cache_dir()
+    from server.database import Database
+    from server.jobs.analyses import NICENESS, work_off
+    from server.jobs.supervise import follow_parent
+    from server.jobs.worker import utc_now
+    from server.store import open_store
+    from server.telemetry import configure_logging
+
+    settings = Settings()
+    configure_logging(as_json=settings.log_json, level=settings.log_level)
+    # What it would have written no longer counts, so that nothing need be put in order.
+    follow_parent(lambda: os._exit(1))
+    os.nice(NICENESS)
+    database = Database(settings)
+    try:
+        work_off(database, open_store(settings), args.id, args.attempt, clock=utc_now)
+    finally:
+        database.dispose()
     return 0
 
 

@@ -153,14 +153,20 @@ class DriveFileError(ValueError):
 
 def read_drive_columns(path: Path, *, thesis_course_clockwise: bool = False) -> Columns:
     """Checked columns of a file, its format known by its content (docs/device-protocol.md lists them)."""
-    body = path.read_bytes()
+    return read_columns(path.read_bytes(), str(path), thesis_course_clockwise=thesis_course_clockwise)
+
+
+def read_columns(
+    body: bytes, name: str, *, max_decoded_bytes: int | None = None, thesis_course_clockwise: bool = False
+) -> Columns:
+    """Checked columns of a file's content; `name` is what errors call it."""
     try:
-        columns = _reader_of(body, thesis_course_clockwise=thesis_course_clockwise)(body, max_decoded_bytes=None)
-        columns = _from_first_row(columns)
+        read = _reader_of(body, thesis_course_clockwise=thesis_course_clockwise)
+        columns = _from_first_row(read(body, max_decoded_bytes=max_decoded_bytes))
         check_values(columns)
     except InvalidError as error:
         kinds = "CSV, Parquet, thesis line, compact batch, MCAP, NMEA, Codec 8E, a phone logger's CSV"
-        raise DriveFileError(f"{path} is no drive file ({kinds}): {error.detail}") from error
+        raise DriveFileError(f"{name} is no drive file ({kinds}): {error.detail}") from error
     return columns
 
 

@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-import asyncio
 import datetime as dt
 from dataclasses import dataclass
 from typing import Annotated, cast
 
 from anyio import CapacityLimiter, to_thread
 from fastapi import APIRouter, Header, Request
-from starlette.requests import ClientDisconnect
 
 from server.accounts.access import Caller, DeviceCaller
 from server.database import Database
 from server.devices.provisioning import check_quota, told
 from server.edge import DatabaseOf, Now, SettingsOf, StoreOf, Wake
-from server.errors import ProblemError, TooLargeError, TooManyRequestsError, UnauthenticatedError
+from server.errors import TooManyRequestsError, UnauthenticatedError
 from server.formats.decode import MEDIA_TYPES, decode, media_type_of
 from server.formats.encoding import encoding_of, unpack
 from server.ingest import queries, service
+from server.ingest.body import read_body
 from server.ingest.schemas import Acknowledgement
 from server.limits import TokenBuckets
 from server.problems import described
@@ -28,8 +27,6 @@ from server.telemetry import Telemetry
 from server.tracing import tracer
 
 PATH = "/api/v1/batches"
-# A box on a bad link is slow, but one that stops in the middle must not hold a connection for ever.
-BODY_TIMEOUT_S = 120.0
 
 router = APIRouter(tags=["devices"])
 
@@ -42,10 +39,6 @@ class _Sent:
     media_type: str
     notes: service.BoxNotes
     size: int
-
-
-class SlowBodyError(ProblemError):
-    status, code, title = 408, "body_timeout", "The body did not arrive in time"
 
 
 _SHAPES: dict[str, dict[str, object]] = {
@@ -89,7 +82,7 @@ async def upload(
     notes = service.notes_of(scatola_sent_at, scatola_configuration, scatola_answers)
     media_type = media_type_of(content_type)
     encoding = encoding_of(content_encoding)
-    packed = await _body(request, settings.max_body_bytes)
+    packed = await read_body(request, settings.max_body_bytes)
     if caller.signed_body_sha256 not in (None, service.body_sha256(packed)):
         raise UnauthenticatedError("The body is not the one that was signed", code="signature")
     sent = _Sent(key, media_type, notes, len(packed))
@@ -108,24 +101,6 @@ async def upload(
         wake = state.wake_burst if key.stream == "burst" else state.wake
         cast("Wake", wake)(cast("str", caller.device_id))
     return answer
-
-
-async def _body(request: Request, max_bytes: int) -> bytes:
-    announced = request.headers.get("content-length", "")
-    if announced.isdecimal() and int(announced) > max_bytes:
-        raise TooLargeError(f"The body is larger than {max_bytes} bytes")
-    body = bytearray()
-    try:
-        async with asyncio.timeout(BODY_TIMEOUT_S):
-            async for chunk in request.stream():
-                body += chunk
-                if len(body) > max_bytes:
-                    raise TooLargeError(f"The body is larger than {max_bytes} bytes")
-    except TimeoutError:
-        raise SlowBodyError(f"The body did not arrive within {BODY_TIMEOUT_S:g} s") from None
-    except ClientDisconnect:
-        raise SlowBodyError("The connection ended within the body") from None
-    return bytes(body)
 
 
 def _store(

@@ -124,6 +124,7 @@ def run_consumer(
     settings: Settings, *, stop: threading.Event, clock: Clock, queue: str = QUEUE, bursts: str = BURSTS
 ) -> None:
     """Work off what the queue brings, and send again what stays due, until told to stop."""
+    from server.jobs.analyses import start_analyses
     from server.jobs.rerun import start_reruns
     from server.jobs.work import bring_up_to_date
     from server.jobs.worker import (
@@ -161,6 +162,7 @@ def run_consumer(
     eraser = start_erasing(database, store, stop=stop, clock=clock)
     sealer = start_sealing(database, settings, stop=stop, clock=clock)
     tellers = start_telling(database, settings, stop=stop, clock=clock)
+    analyst = start_analyses(settings, database, stop=stop, clock=clock)
     sweep = Sweep(database, broker, queue, clock)
     rerunner = start_reruns(database, store, stop=stop, clock=clock, idle=lambda: not sweep.waiting)
     try:
@@ -172,7 +174,7 @@ def run_consumer(
         broker.close()
         for teller in tellers:
             teller.join(STOP_TELLING_S)
-        for thread in (keeper, eraser, rerunner, sealer):
+        for thread in (keeper, eraser, rerunner, analyst, sealer):
             if thread is not None:
                 thread.join(2.0)  # an event that is being computed again is left: its lease runs out
         database.dispose()

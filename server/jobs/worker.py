@@ -16,6 +16,7 @@ import structlog
 from prometheus_client import start_http_server
 
 from server.database import Database
+from server.jobs.analyses import start_analyses
 from server.jobs.due import burst_devices, due_devices
 from server.jobs.failures import Job, left_alone
 from server.jobs.rerun import Reruns
@@ -90,6 +91,7 @@ def run_worker(
     eraser = start_erasing(database, store, stop=stop, clock=clock)
     sealer = start_sealing(database, settings, stop=stop, clock=clock)
     tellers = start_telling(database, settings, stop=stop, clock=clock)
+    analyst = start_analyses(settings, database, stop=stop, clock=clock)
     rounds = Rounds(database, store, clock)
     reruns = Reruns(database, store, clock)
     try:
@@ -104,6 +106,7 @@ def run_worker(
             teller.join(STOP_TELLING_S)
         keeper.join()
         eraser.join()
+        analyst.join()
         if sealer is not None:
             sealer.join()
         database.dispose()

@@ -12,6 +12,7 @@ from server.models.alert import (
     GeofencePresence,
     TheftWatch,
 )
+from server.models.analysis import Analysis
 from server.models.base import Base, new_id
 from server.models.batch import Batch, BatchDigest, SequenceRun
 from server.models.change import Change
@@ -30,6 +31,7 @@ __all__ = [
     "AlertChannel",
     "AlertDelivery",
     "AlertRule",
+    "Analysis",
     "ApiKey",
     "Assignment",
     "AuditEntry",

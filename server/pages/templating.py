@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime as dt
+import math
 from functools import partial
 from typing import Any, Literal, Protocol, cast
 
@@ -63,7 +64,12 @@ def environment(language: Language) -> Environment:
         "script_words": orjson.dumps(words).decode() if words else "",
     }
     cast("dict[str, Any]", made.globals).update(shared)
-    made.filters.update(moment=moment, number=partial(number, language=language), duration=duration)
+    made.filters.update(
+        moment=moment,
+        number=partial(number, language=language),
+        short=partial(short, language=language),
+        duration=duration,
+    )
     # The extension adds it to the environment at run time.
     cast("Any", made).install_gettext_translations(catalogue(language), newstyle=True)
     return made
@@ -95,6 +101,16 @@ def number(value: float, digits: int = 0, *, sign: bool = False, language: Langu
         text = text.lstrip("+-")
     text = text.replace(",", "\N{NARROW NO-BREAK SPACE}").replace("-", "\N{MINUS SIGN}")
     return text.replace(".", ",") if language == "it" else text
+
+
+def short(value: float, digits: int = 3, *, language: Language = "en") -> str:
+    """So many significant digits of a number of any size: 0.00132, 32 768, 4.2 × 10⁻⁷."""
+    if value == 0.0 or 1e-3 <= abs(value) < 1e6:
+        places = 0 if value == 0.0 else max(0, digits - 1 - math.floor(math.log10(abs(value))))
+        return number(value, places, language=language)
+    mantissa, _, power = f"{value:.{digits - 1}e}".partition("e")
+    raised = str(int(power)).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
+    return f"{number(float(mantissa), digits - 1, language=language)} × 10{raised}"
 
 
 def duration(seconds: float) -> str:

@@ -7,7 +7,7 @@ import datetime as dt
 from sqlalchemy import exists, or_, select
 
 from server.database import Database
-from server.models import Batch
+from server.models import Analysis, Batch
 from server.store.blobs import BlobStore
 
 COLLECT_AGE = dt.timedelta(days=1)
@@ -34,7 +34,11 @@ def _has_row(database: Database, key: str) -> bool:
     # By device first: the blob columns have no index of their own, and need none for this.
     # A row whose raw data are being erased holds on to nothing.
     of_device = Batch.organisation_id == organisation_id, Batch.device_id == device_id, Batch.erasing_at.is_(None)
+    of_analysis = (
+        Analysis.organisation_id == organisation_id,
+        or_(Analysis.input_key == key, Analysis.result_key == key),
+    )
     with database.reading() as session:
-        return bool(
-            session.scalar(select(exists().where(*of_device, or_(Batch.blob_key == key, Batch.body_key == key))))
-        )
+        if session.scalar(select(exists().where(*of_device, or_(Batch.blob_key == key, Batch.body_key == key)))):
+            return True
+        return bool(session.scalar(select(exists().where(*of_analysis))))

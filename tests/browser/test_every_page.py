@@ -9,7 +9,9 @@ from pathlib import Path
 
 import pytest
 from playwright.sync_api import expect
+from sqlalchemy import select
 
+from server.models import Device
 from tests.browser.test_pages import CONTRAST
 
 AXE = Path(__file__).resolve().parents[2] / "node_modules" / "axe-core" / "axe.min.js"
@@ -28,6 +30,8 @@ PATHS = {
     "vehicle-moved": "/vehicles/{Iveco Daily}",
     "vehicle-new": "/vehicles/{Piaggio Porter}",
     "events": "/events?show=all",
+    "workbench": "/workbench",
+    "live": "/devices/{box}/live",
     "users": "/users",
     "audit": "/audit",
     "account": "/account",
@@ -40,6 +44,9 @@ def test_axe_width_contrast_and_language(site, open_page, screenshot, name):
     path = PATHS[name]
     for vehicle, vehicle_id in site.vehicles.items():
         path = path.replace(f"{{{vehicle}}}", vehicle_id)
+    with site.database.reading() as session:
+        box = session.scalars(select(Device.id).where(Device.vehicle_id == site.vehicles["Fiat Panda"])).first()
+    path = path.replace("{box}", box)
     inside = name not in ("login", "missing")
     page = open_page(path, signed_in=name != "login", expected=("404",), locale="it-IT")
     if inside:

@@ -28,6 +28,7 @@ from server.models import (
     AlertChannel,
     AlertDelivery,
     AlertRule,
+    Analysis,
     ApiKey,
     Assignment,
     AuditEntry,
@@ -86,6 +87,7 @@ def fill(session: Session, store: BlobStore, name: str) -> dict[str, str]:
     ids["rerun"] = f"{name}a" * 16
     ids |= {kind: name + letter * 31 for letter, kind in zip("cdefg", ALERT_IDS, strict=True)}
     rest = {kind: f"{name}{number}" * 16 for number, kind in enumerate(("batch", "installation"), 8)}
+    ids["analysis"] = f"{name}b" * 16
     org = organisation.id
     columns = Columns({"t": np.array([0.0, 1.0]), **dict.fromkeys(("fx", "fy", "fz"), np.zeros(2))})
     store.put(f"{org}/{name}", columns.to_parquet())
@@ -201,6 +203,15 @@ def fill(session: Session, store: BlobStore, name: str) -> dict[str, str]:
                 reason=f"of {name}",
                 requested_at=AT,
                 requested_by=name,
+            ),
+            Analysis(
+                id=ids["analysis"],
+                organisation_id=org,
+                creator=f"of {name}",
+                kind="allan",
+                name=f"file of {name}",
+                parameters={},
+                created_at=AT,
             ),
             SequenceRun(device_id=ids["device"], stream="continuous", boot="b", first=0, last=0),
             SignInCode(code_hash=name * 62 + "si", organisation_id=org, created_at=AT, expires_at=AT),
@@ -526,6 +537,9 @@ def test_an_administrator_reaches_nothing_of_another_organisation(app, client, t
     assert everything(tenants.database, own_organisation) == before
     # Nor by naming the other's things in a body.
     mine, theirs = tenants.mine, tenants.theirs
+    for query in ({"trip": theirs["trip"]}, {"again": theirs["analysis"]}):
+        assert client.post("/api/v1/analyses", params={"kind": "allan", **query}).status_code == 404, query
+    assert client.get("/workbench", params={"again": theirs["analysis"]}).status_code == 404
     for method, path, body in (
         ("POST", "/api/v1/devices", {"name": "x", "vehicle_id": theirs["vehicle"]}),
         ("PUT", f"/api/v1/devices/{mine['device']}/vehicle", {"vehicle_id": theirs["vehicle"]}),
@@ -607,6 +621,8 @@ def test_each_role_does_what_it_may_and_no_more(app, serve, tenants, clock):
                 ("PUT", "/api/v1/vehicles/{vehicle_id}/theft"),
                 ("POST", "/api/v1/alert-deliveries/{delivery_id}/replay"),
                 ("POST", "/api/v1/accident-claims"),
+                ("POST", "/api/v1/analyses"),
+                ("POST", "/api/v1/analyses/{analysis_id}/cancel"),
             ):
                 answer = browser.request(
                     method, filled(path, tenants.mine), json={}, headers={"X-CSRF-Token": opened.csrf_token}

@@ -7,7 +7,7 @@ import { t } from "./words.js";
 
 /** @typedef {{at: string, device_id: string | null, vehicle_id: string | null}} Change */
 
-const KINDS = ["batch", "installation", "trip", "position", "moved", "device", "vehicle", "event", "alert"];
+const KINDS = ["batch", "installation", "trip", "position", "moved", "device", "vehicle", "event", "alert", "analysis"];
 /** Changes come in crowds; a second's worth of them is one fetch, and a page that takes long to make waits longer. */
 const SETTLE_MS = 1000;
 const REST_PER_WORK = 8;
@@ -49,9 +49,10 @@ function connect() {
   addEventListener("pagehide", () => source.close());
 }
 
-/** Whether the page is about what changed; a page without a subject is about everything. @param {Change} change */
-function concerns(change) {
+/** Whether the page is about what changed; a page without a subject is about everything. @param {string} kind @param {Change} change */
+function concerns(kind, change) {
   const about = document.body.dataset.about?.split(" ").filter(Boolean) ?? [];
+  if (kind === "analysis") return about.includes(kind);
   return about.length === 0 || about.some((id) => id === change.device_id || id === change.vehicle_id);
 }
 

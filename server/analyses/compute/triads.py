@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from server.formats.columns import Floats
+from server.formats.columns import Columns, Floats
 from server.formats.drive import DriveFileError, read_drive_columns
 
 TRIADS = {"accel": ("fx", "fy", "fz"), "gyro": ("wx", "wy", "wz"), "mag": ("mx", "my", "mz")}
@@ -24,9 +24,9 @@ class Triad:
     temp: Floats | None
 
 
-def read_triads(path: Path) -> dict[str, Triad]:
-    """Every sensor that a file has samples of."""
-    columns = read_drive_columns(path).values
+def triads_of(recording: Columns) -> dict[str, Triad]:
+    """Every sensor that a recording has samples of."""
+    columns = recording.values
     found: dict[str, Triad] = {}
     for sensor, names in TRIADS.items():
         if names[0] not in columns:
@@ -41,9 +41,14 @@ def read_triads(path: Path) -> dict[str, Triad]:
     return found
 
 
-def read_triad(path: Path, sensor: str) -> Triad:
-    """The samples of one sensor, which must be there."""
-    found = read_triads(path)
+def triad_of(recording: Columns, sensor: str, name: str) -> Triad:
+    """The samples of one sensor, which must be there; `name` is the recording's."""
+    found = triads_of(recording)
     if sensor not in found:
-        raise DriveFileError(f"{path}: no samples in the columns {', '.join(TRIADS[sensor])}")
+        raise DriveFileError(f"{name}: no samples in the columns {', '.join(TRIADS[sensor])}")
     return found[sensor]
+
+
+def read_triad(path: Path, sensor: str) -> Triad:
+    """The samples of one sensor of a file."""
+    return triad_of(read_drive_columns(path), sensor, str(path))
