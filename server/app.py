@@ -32,6 +32,8 @@ from server.live import routes as live
 from server.migrations import is_current
 from server.pages import accounts as account_pages
 from server.pages import fleet_routes, templating
+from server.pages import install_routes as install_pages
+from server.pages import mounting_routes as mounting_pages
 from server.pages import routes as pages
 from server.reports import routes as reports
 from server.resources import folder
@@ -125,6 +127,8 @@ def create_app(settings: Settings, *, clock: Clock = utc_now) -> FastAPI:
         replay,
         proxy,
         pages,
+        mounting_pages,
+        install_pages,
         fleet_routes,
         account_pages,
     ):

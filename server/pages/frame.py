@@ -27,6 +27,7 @@ SECTIONS = (
     Section("fleet", "/", "map", marked("Fleet")),
     Section("vehicles", "/vehicles", "car", marked("Vehicles")),
     Section("events", "/events", "impact", marked("Events")),
+    Section("install", "/install", "wrench", marked("Install"), "install"),
     Section("users", "/users", "people", marked("People"), "users.manage"),
     Section("audit", "/audit", "list", marked("Audit"), "audit.read"),
 )
