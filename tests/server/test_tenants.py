@@ -345,6 +345,8 @@ BODIES = {
     "POST /users/{user_id}/role": {"role": "reader"},
     "PUT /api/v1/events/{event_id}/review": {"verdict": "confirmed"},
     "PUT /api/v1/events/{event_id}/hold": {"held": True, "reason": "taken over"},
+    "POST /install/{device_id}/vehicle": {"vehicle_id": "x" * 32},
+    "POST /install/{device_id}/level": {"sits": "z-0", "reason": "taken over"},
     "POST /events/{event_id}/review": {"verdict": "confirmed"},
     "POST /devices/{device_id}/installation": {
         "theta": "0",
@@ -407,6 +409,7 @@ def test_an_administrator_reaches_nothing_of_another_organisation(app, client, t
     for method, path, body in (
         ("POST", "/api/v1/devices", {"name": "x", "vehicle_id": theirs["vehicle"]}),
         ("PUT", f"/api/v1/devices/{mine['device']}/vehicle", {"vehicle_id": theirs["vehicle"]}),
+        ("POST", f"/install/{mine['device']}/vehicle", {"vehicle_id": theirs["vehicle"]}),
     ):
         assert client.request(method, path, json=body).status_code == 422, path
     assert everything(tenants.database, own_organisation) == before
@@ -441,6 +444,8 @@ def test_each_role_does_what_it_may_and_no_more(app, serve, tenants, clock):
                 ("PUT", "/api/v1/events/{event_id}/review"),
                 ("PUT", "/api/v1/events/{event_id}/hold"),
                 ("POST", "/api/v1/events/{event_id}/view-ticket"),
+                ("POST", "/install/{device_id}/vehicle"),
+                ("POST", "/install/{device_id}/level"),
                 ("POST", "/events/{event_id}/review"),
                 ("POST", "/events/{event_id}/hold"),
             ):
