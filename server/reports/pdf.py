@@ -34,8 +34,8 @@ from server.reports.figures import sentences
 from server.reports.paper import BOLD, INK, LINE, MONO, MUTED, PLAIN, load_fonts
 from server.reports.words import Language, Words
 
-_MARGIN, _TOP, _BOTTOM = 18 * mm, 24 * mm, 18 * mm
-WIDTH = A4[0] - 2 * _MARGIN
+MARGIN, TOP, BOTTOM = 18 * mm, 24 * mm, 18 * mm
+WIDTH = A4[0] - 2 * MARGIN
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,20 +65,8 @@ def report_pdf(
     words = Words(language)
     sink = io.BytesIO()
     kind = words(document["event"]["kind"])
-    template = BaseDocTemplate(
-        sink,
-        pagesize=A4,
-        leftMargin=_MARGIN,
-        rightMargin=_MARGIN,
-        topMargin=_TOP,
-        bottomMargin=_BOTTOM,
-        title=f"{words('title')}: {kind}",
-        author="Scatola",
-        subject=heading.event_id,
-        lang=language,
-        invariant=1,
-    )
-    frame = Frame(_MARGIN, _BOTTOM, WIDTH, A4[1] - _TOP - _BOTTOM, 0, 0, 0, 0, id="page")
+    template = blank(sink, title=f"{words('title')}: {kind}", subject=heading.event_id, language=language)
+    frame = Frame(MARGIN, BOTTOM, WIDTH, A4[1] - TOP - BOTTOM, 0, 0, 0, 0, id="page")
     template.addPageTemplates([PageTemplate(id="page", frames=[frame])])
 
     class Numbered(Canvas):
@@ -104,25 +92,44 @@ def report_pdf(
 
 
 def _head_and_foot(canvas: Any, words: Words, heading: Heading, kind: str, page: int, pages: int) -> None:
+    letterhead(canvas, f"{words('title')} · {kind}", words("foot", hash=heading.event_sha256))
+    named = f"{words('event')} {heading.event_id} · {words('revision')} {heading.revision}"
+    canvas.setFont(PLAIN, 8)
+    canvas.drawRightString(A4[0] - MARGIN, A4[1] - 14 * mm, named)
+    canvas.drawRightString(A4[0] - MARGIN, 10 * mm, words("page", page=page, pages=pages))
+
+
+def blank(sink: io.BytesIO, *, title: str, subject: str, language: Language) -> BaseDocTemplate:
+    """A document of our paper, without pages; it says nothing of when it was made."""
+    return BaseDocTemplate(
+        sink,
+        pagesize=A4,
+        leftMargin=MARGIN,
+        rightMargin=MARGIN,
+        topMargin=TOP,
+        bottomMargin=BOTTOM,
+        title=title,
+        author="Scatola",
+        subject=subject,
+        lang=language,
+        invariant=1,
+    )
+
+
+def letterhead(canvas: Any, name: str, foot: str) -> None:
+    """What stands on every page: whose paper it is, what it is, and the hash it goes by."""
     width, height = A4
     canvas.setFillColor(MUTED)
     canvas.setFont(BOLD, 8)
-    canvas.drawString(_MARGIN, height - 14 * mm, "SCATOLA")
+    canvas.drawString(MARGIN, height - 14 * mm, "SCATOLA")
     canvas.setFont(PLAIN, 8)
-    canvas.drawString(_MARGIN + 46, height - 14 * mm, f"{words('title')} · {kind}")
-    canvas.drawRightString(
-        width - _MARGIN,
-        height - 14 * mm,
-        f"{words('event')} {heading.event_id} · {words('revision')} {heading.revision}",
-    )
+    canvas.drawString(MARGIN + 46, height - 14 * mm, name)
     canvas.setStrokeColor(LINE)
     canvas.setLineWidth(0.5)
-    canvas.line(_MARGIN, height - 16 * mm, width - _MARGIN, height - 16 * mm)
-    canvas.line(_MARGIN, 14 * mm, width - _MARGIN, 14 * mm)
+    canvas.line(MARGIN, height - 16 * mm, width - MARGIN, height - 16 * mm)
+    canvas.line(MARGIN, 14 * mm, width - MARGIN, 14 * mm)
     canvas.setFont(MONO, 6)
-    canvas.drawString(_MARGIN, 10 * mm, words("foot", hash=heading.event_sha256))
-    canvas.setFont(PLAIN, 8)
-    canvas.drawRightString(width - _MARGIN, 10 * mm, words("page", page=page, pages=pages))
+    canvas.drawString(MARGIN, 10 * mm, foot)
 
 
 def _style(

@@ -17,10 +17,11 @@ from pathlib import Path
 
 import rich
 import uvicorn
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
-from starlette.responses import PlainTextResponse, Response
+from starlette.responses import JSONResponse, PlainTextResponse, Response
 from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket
 
@@ -28,12 +29,24 @@ from server.database import Database
 from server.edge import Clock
 from server.errors import ProblemError
 from server.settings import Settings
+from server.store import open_store
 from server.view3d import permission
 from server.view3d.pool import ScenePool
 from server.view3d.recording import Replays
 from server.view3d.relay import refuse, relay, same_origin
+from server.view3d.view import Choice
 
 _EXPIRED = "This 3D view's ticket has expired. Reload the page that shows it."
+
+
+class Wanted(BaseModel):
+    """What the page around a scene asks it to show."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    step: str | None = Field(default=None, max_length=32)
+    before: bool = False
+    proposal: int | None = Field(default=None, ge=0, le=3)
 
 
 class Viewer:
@@ -43,10 +56,12 @@ class Viewer:
         self._settings = settings
         self._clock = clock
         self._database = Database(settings)
-        self.pool = pool or ScenePool(self._database, clock=clock)
+        self.pool = pool or ScenePool(self._database, clock=clock, store=open_store(settings))
         self.replays = Replays(self._database)
         self._page = client_page()
         self._page_gzip = gzip.compress(self._page, 6)
+        self._bare = bare_page(self._page)
+        self._bare_gzip = gzip.compress(self._bare, 6)
         self._headers = {
             "Content-Security-Policy": content_security_policy(settings),
             "X-Content-Type-Options": "nosniff",
@@ -58,16 +73,30 @@ class Viewer:
 
     async def page(self, request: Request) -> Response:
         """The client that viser ships, for the holder of a ticket."""
+        return await self._client(request, self._page, self._page_gzip)
+
+    async def own_page(self, request: Request) -> Response:
+        """The same as a mere picture, for a page that has words and controls of its own."""
+        return await self._client(request, self._bare, self._bare_gzip)
+
+    async def _client(self, request: Request, page: bytes, page_gzip: bytes) -> Response:
         secret, device_id = request.path_params["ticket"], request.path_params["device_id"]
         if not await run_in_threadpool(self._opens, secret, device_id):
             return PlainTextResponse(_EXPIRED, 403, self._headers)
         if "gzip" in request.headers.get("accept-encoding", ""):
             headers = {**self._headers, "Content-Encoding": "gzip"}
-            return Response(self._page_gzip, headers=headers, media_type="text/html")
-        return Response(self._page, headers=self._headers, media_type="text/html")
+            return Response(page_gzip, headers=headers, media_type="text/html")
+        return Response(page, headers=self._headers, media_type="text/html")
 
     async def socket(self, websocket: WebSocket) -> None:
         """The scene's socket: ticket and origin are checked, then bytes pass both ways."""
+        await self._pass_on(websocket, None)
+
+    async def own_socket(self, websocket: WebSocket) -> None:
+        """The same, to a scene that is the ticket holder's own."""
+        await self._pass_on(websocket, websocket.path_params["ticket"])
+
+    async def _pass_on(self, websocket: WebSocket, owner: str | None) -> None:
         secret, device_id = websocket.path_params["ticket"], websocket.path_params["device_id"]
         if not same_origin(websocket.headers, self._settings.trusted_origins):
             await refuse(websocket, 403, "The 3D view does not open from another site.")
@@ -76,7 +105,7 @@ class Viewer:
             await refuse(websocket, 403, _EXPIRED)
             return
         try:
-            port = await run_in_threadpool(self.pool.enter, device_id)
+            port = await run_in_threadpool(self.pool.enter, device_id, owner)
         except ProblemError as problem:
             await refuse(websocket, problem.status, problem.detail)
             return
@@ -85,7 +114,24 @@ class Viewer:
             await relay(websocket, f"ws://127.0.0.1:{port}/")
         finally:
             renewing.cancel()
-            await run_in_threadpool(self.pool.leave, device_id)
+            await run_in_threadpool(self.pool.leave, device_id, owner)
+
+    async def state(self, request: Request) -> Response:
+        """What the ticket holder's own scene shows; PUT shows something else."""
+        secret, device_id = request.path_params["ticket"], request.path_params["device_id"]
+        if not await run_in_threadpool(self._opens, secret, device_id):
+            return PlainTextResponse(_EXPIRED, 403, self._headers)
+        try:
+            if request.method == "PUT":
+                wanted = Wanted.model_validate_json(await request.body())
+                choice = Choice(wanted.step, wanted.before, wanted.proposal)
+                await run_in_threadpool(self.pool.choose, device_id, secret, choice)
+            told = await run_in_threadpool(self.pool.state, device_id, secret)
+        except ValidationError:
+            return PlainTextResponse("Not a choice of step, before, proposal", 422, self._headers)
+        except ProblemError as problem:
+            return PlainTextResponse(problem.detail, problem.status, self._headers)
+        return JSONResponse(told, headers=self._headers)
 
     async def recording(self, request: Request) -> Response:
         """A recorded replay of one of the box's events, for the holder of a ticket for it."""
@@ -126,6 +172,12 @@ def client_page() -> bytes:
     return Path(str(distribution("viser").locate_file("viser/client/build/index.html"))).read_bytes()
 
 
+def bare_page(page: bytes) -> bytes:
+    """The client without its panel, which shows the socket's address and so the ticket, and without its notices."""
+    style = b"<style>.mantine-Paper-root,.mantine-Notifications-root{display:none!important}</style>"
+    return page.replace(b"</head>", style + b"</head>", 1)
+
+
 def content_security_policy(settings: Settings) -> str:
     """What viser's client needs and no more; it compiles WebAssembly and starts a worker from a blob."""
     framers = " ".join(("'self'", *settings.trusted_origins))
@@ -154,6 +206,9 @@ def create_viewer(
             Route("/healthz", viewer.health),
             Route(path + "/", viewer.page),
             Route(path + "/events/{event_id}.viser", viewer.recording),
+            Route(path + "/mounting/", viewer.own_page),
+            Route(path + "/mounting/state", viewer.state, methods=["GET", "PUT"]),
+            WebSocketRoute(path + "/mounting", viewer.own_socket),
             # viser's client drops the slash at the end of the page's address to get the socket's.
             WebSocketRoute(path, viewer.socket),
             WebSocketRoute(path + "/", viewer.socket),

@@ -29,9 +29,16 @@ PATHS = {
     "vehicle": "/vehicles/{Fiat Panda}",
     "vehicle-moved": "/vehicles/{Iveco Daily}",
     "vehicle-new": "/vehicles/{Piaggio Porter}",
+    "mounting": "/vehicles/{Fiat Panda}/mounting",
+    "mounting-moved": "/vehicles/{Iveco Daily}/mounting?before=true",
+    "certificate": "/devices/[Fiat Panda]/certificate",
+    "install": "/install?code=nothing",
+    "install-box": "/install/[Fiat Panda]?q=a",
+    "install-drive": "/install/[Iveco Daily]/drive",
+    "install-level": "/install/[Fiat Panda]/level",
     "events": "/events?show=all",
     "workbench": "/workbench",
-    "live": "/devices/{box}/live",
+    "live": "/devices/[Fiat Panda]/live",
     "users": "/users",
     "audit": "/audit",
     "account": "/account",
@@ -39,14 +46,17 @@ PATHS = {
 }
 
 
+def box_in(site, vehicle_id: str) -> str:
+    """Id of the box in a vehicle."""
+    with site.database.reading() as session:
+        return session.scalars(select(Device.id).where(Device.vehicle_id == vehicle_id)).one()
+
+
 @pytest.mark.parametrize("name", PATHS)
 def test_axe_width_contrast_and_language(site, open_page, screenshot, name):
     path = PATHS[name]
     for vehicle, vehicle_id in site.vehicles.items():
-        path = path.replace(f"{{{vehicle}}}", vehicle_id)
-    with site.database.reading() as session:
-        box = session.scalars(select(Device.id).where(Device.vehicle_id == site.vehicles["Fiat Panda"])).first()
-    path = path.replace("{box}", box)
+        path = path.replace(f"{{{vehicle}}}", vehicle_id).replace(f"[{vehicle}]", box_in(site, vehicle_id))
     inside = name not in ("login", "missing")
     page = open_page(path, signed_in=name != "login", expected=("404",), locale="it-IT")
     if inside:

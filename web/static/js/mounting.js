@@ -1,0 +1,38 @@
+// The mounting in 3D: the slider walks through the history; page and picture show the same step.
+
+import { go } from "./live.js";
+import { Scene3d } from "./scene-3d.js";
+
+const slider = /** @type {HTMLInputElement} */ (document.getElementById("step"));
+const ghost = /** @type {HTMLInputElement} */ (document.getElementById("before"));
+/** @type {ReturnType<typeof setTimeout> | undefined} */
+let pending;
+
+/** The step under the slider; none for the newest, which goes on with the data. */
+function show() {
+  const steps = document.getElementById("moment")?.dataset.steps?.split(" ") ?? [];
+  const step = Number(slider.value) < steps.length - 1 ? steps[Number(slider.value)] : undefined;
+  const scene = document.querySelector("scene-3d");
+  if (scene instanceof Scene3d) scene.show({ step: step ?? null, before: ghost.checked });
+  return new URLSearchParams({ ...(step && { step }), ...(ghost.checked && { before: "true" }) });
+}
+
+function changed() {
+  const query = show();
+  clearTimeout(pending);
+  pending = setTimeout(() => void go(`${location.pathname}?${query}`, false), 120);
+}
+
+/** The page was renewed, by its data or by a link. */
+function follow() {
+  const { steps = "", shown = "", words = "" } = document.getElementById("moment")?.dataset ?? {};
+  slider.max = String(steps.split(" ").length - 1);
+  slider.value = shown;
+  slider.setAttribute("aria-valuetext", words);
+  show();
+}
+
+slider.addEventListener("input", changed);
+ghost.addEventListener("change", changed);
+document.addEventListener("scatola:parts", follow);
+follow();
