@@ -16,7 +16,7 @@ branch_labels: str | None = None
 depends_on: str | None = None
 
 DOCUMENT = sa.JSON().with_variant(JSONB(), "postgresql")
-CLASSES = ("raw", "tracks", "trips", "manoeuvres", "events", "changes", "audit")
+CLASSES = ("raw", "tracks", "trips", "manoeuvres", "events", "diagnosis", "alerts", "changes", "audit")
 TIMES = {
     "batch": ("erasing_at", "erased_at"),
     "event": ("raw_erased_at", "erased_at"),

@@ -8,7 +8,7 @@ from sqlalchemy.orm import Mapped, mapped_column
 
 from server.models.base import Base, id_column
 
-DATA_CLASSES = ("raw", "tracks", "trips", "manoeuvres", "events", "changes", "audit")
+DATA_CLASSES = ("raw", "tracks", "trips", "manoeuvres", "events", "diagnosis", "alerts", "changes", "audit")
 SUBJECTS = ("vehicle", "user")
 
 

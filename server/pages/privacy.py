@@ -31,6 +31,8 @@ CLASS_WORDS = {
     "trips": marked("Trips"),
     "manoeuvres": marked("Manoeuvres"),
     "events": marked("Crashes"),
+    "diagnosis": marked("Diagnosis values"),
+    "alerts": marked("Alerts"),
     "changes": marked("Live changes"),
     "audit": marked("Audit log"),
 }
@@ -40,6 +42,9 @@ THINGS = {
     "batches": marked("Uploads"),
     "trips": marked("Trips"),
     "track_points": marked("Positions of tracks"),
+    "alerts": marked("Alerts"),
+    "claims": marked("Accident claims"),
+    "diagnosis": marked("Diagnosis values"),
     "changes": marked("Live changes"),
     "installations": marked("Installations"),
     "account": marked("Account"),

@@ -24,12 +24,15 @@ from server.events.canonical import sha256
 from server.events.holds import held, trip_held
 from server.evidence.package import instant
 from server.models import (
+    AccidentClaim,
+    Alert,
     AuditEntry,
     Batch,
     Boot,
     Change,
     Device,
     DeviceState,
+    Diagnosis,
     Erasure,
     Event,
     EventRevision,
@@ -115,6 +118,11 @@ def vehicle_holdings(session: Session, subject: Subject) -> tuple[Counts, Kept]:
         "batches": 0,
         "trips": _count(session, Trip.id, *subject.trips(), ~trip_held()),
         "track_points": _points(session, *subject.trips(), ~trip_held()),
+        "alerts": _count(session, Alert.id, *subject.alerts()),
+        "claims": _count(session, AccidentClaim.id, *subject.claims()),
+        "diagnosis": sum(
+            _count(session, Diagnosis.value, *subjects.diagnosis(stay)) for stay in subjects.stays(session, subject)
+        ),
         "changes": _count(session, Change.id, *subject.changes()),
         "installations": _count(session, Installation.id, *subject.installations()) if subject.whole else 0,
     }
@@ -289,12 +297,25 @@ def _erase_vehicle(
         )
     for box in sorted(of_trips):
         drain(lambda s, box=box: trips_of(s, box))
-    drain(lambda s: {"changes": _erase_changes(s, subject)})
+    drain(lambda s: _erase_small(s, subject, stays))
     with database.transaction() as session:
         _forget_positions(session, stays, now)
         if subject.whole:
             row = session.get_one(Erasure, erasure_id, with_for_update=True)
             row.erased = {**row.erased, **_forget_vehicle(session, subject, row.erased)}
+
+
+def _erase_small(session: Session, subject: Subject, stays: Sequence[subjects.Stay]) -> Counts:
+    """A piece of what has no tombstone."""
+    claims = list(session.scalars(select(AccidentClaim.id).where(*subject.claims()).limit(tombstones.CHUNK)))
+    session.execute(delete(AccidentClaim).where(AccidentClaim.id.in_(claims)))
+    values = (tombstones.delete_diagnosis(session, stay.device_id, *subjects.diagnosis(stay)) for stay in stays)
+    return {
+        "alerts": tombstones.delete_alerts(session, *subject.alerts()),
+        "claims": len(claims),
+        "diagnosis": sum(values),
+        "changes": _erase_changes(session, subject),
+    }
 
 
 def _erase_changes(session: Session, subject: Subject) -> int:

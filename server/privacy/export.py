@@ -20,6 +20,9 @@ from sqlalchemy.orm import InstrumentedAttribute, Session
 from server.database import Database
 from server.events import queries as event_queries
 from server.models import (
+    AccidentClaim,
+    Alert,
+    AlertDelivery,
     ApiKey,
     Assignment,
     AuditEntry,
@@ -28,6 +31,7 @@ from server.models import (
     Change,
     Device,
     DeviceState,
+    Diagnosis,
     Event,
     EventAction,
     EventRevision,
@@ -45,9 +49,19 @@ from server.store import BlobStore, raw_body, raw_columns
 
 PAGE = 500
 SECRET = frozenset(
-    {"token_hash", "next_token_hash", "key_hash", "password_hash", "totp_secret", "totp_step", "csrf_token", "document"}
+    {
+        "token_hash",
+        "next_token_hash",
+        "key_hash",
+        "password_hash",
+        "totp_secret",
+        "totp_step",
+        "csrf_token",
+        "document",
+        "body",
+    }
 )
-"""Columns that open something or come as files of their own."""
+"""Columns that open something, come as files of their own, or repeat what another row says (a message sent)."""
 README = """Everything that Scatola holds about one {kind}.
 
 *.jsonl         rows of the database, one JSON object a line; times are UTC, units stand in the names
@@ -128,6 +142,11 @@ def _of_vehicle(database: Database, store: BlobStore, subject: Subject) -> Itera
     yield "event_revisions.jsonl", rows(EventRevision, EventRevision.id, EventRevision.event_id.in_(of_events))
     for revision_id in _ids(database, EventRevision.id, EventRevision.event_id.in_(of_events)):
         yield from _document(database, revision_id)
+    yield "alerts.jsonl", rows(Alert, Alert.id, *subject.alerts())
+    of_alerts = select(Alert.id).where(*subject.alerts())
+    yield "alert_deliveries.jsonl", rows(AlertDelivery, AlertDelivery.id, AlertDelivery.alert_id.in_(of_alerts))
+    yield "claims.jsonl", rows(AccidentClaim, AccidentClaim.id, *subject.claims())
+    yield "diagnosis.jsonl", (piece for stay in stays for piece in _diagnosis(database, rows, stay))
     yield "changes.jsonl", rows(Change, Change.id, *subject.changes())
     mentions = AuditEntry.organisation_id == subject.organisation_id, AuditEntry.subject.contains(subject.vehicle_id)
     yield "audit.jsonl", rows(AuditEntry, AuditEntry.id, *mentions)
@@ -136,6 +155,14 @@ def _of_vehicle(database: Database, store: BlobStore, subject: Subject) -> Itera
     for _, wanted in parts:
         for batch_id in _ids(database, Batch.id, Batch.erasing_at.is_(None), *wanted):
             yield from _raw(database, store, batch_id)
+
+
+def _diagnosis(database: Database, rows: _Rows, stay: subjects.Stay) -> Iterator[bytes]:
+    of_stay = subjects.diagnosis(stay)
+    with database.reading() as session:
+        names = session.scalars(select(Diagnosis.name).where(*of_stay).distinct().order_by(Diagnosis.name)).all()
+    for name in names:
+        yield from rows(Diagnosis, Diagnosis.at, *of_stay, Diagnosis.name == name)
 
 
 def _boots(database: Database, stays: Sequence[subjects.Stay]) -> Iterator[bytes]:

@@ -17,6 +17,8 @@ DEFAULT_DAYS: dict[str, int | None] = {
     "trips": 1095,
     "manoeuvres": 365,
     "events": 3650,
+    "diagnosis": 365,
+    "alerts": 365,
     "changes": 30,
     "audit": 1095,
 }
@@ -26,6 +28,8 @@ MEANINGS = {
     "trips": marked("Trips as figures: times, distance, top speed"),
     "manoeuvres": marked("Harsh driving and other events without a reconstruction"),
     "events": marked("Crashes, rollovers and parked impacts, with the raw data they rest on"),
+    "diagnosis": marked("Battery, temperature and other named values of the vehicle"),
+    "alerts": marked("Alerts and the messages sent of them"),
     "changes": marked("What the live pages replay to a browser that lost its connection"),
     "audit": marked("The audit log"),
 }

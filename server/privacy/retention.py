@@ -18,12 +18,12 @@ from server.accounts import audit
 from server.accounts.caller import Caller
 from server.database import Database
 from server.events.holds import evidence, held, trip_held
-from server.models import AuditEntry, Batch, Change, Device, Event, Organisation, RetentionRule, Trip
+from server.models import Alert, AuditEntry, Batch, Change, Device, Diagnosis, Event, Organisation, RetentionRule, Trip
 from server.privacy import policy, tombstones
 from server.store import BlobStore
 
 ROWS = 1000
-"""Rows of the change table or the audit log in one transaction."""
+"""Rows of the change table, the audit log or the alerts in one transaction."""
 
 log = structlog.stdlib.get_logger("scatola.privacy")
 
@@ -82,6 +82,11 @@ def _pieces(database: Database, rule: _Rule, now: dt.datetime) -> Iterator[int]:
         while count := _remove(database, rule, lambda session: _delete_rows(session, rule, model)):
             yield count
         return
+    if rule.name == "alerts":
+        old = Alert.organisation_id == rule.organisation_id, Alert.created_at < rule.before
+        while count := _remove(database, rule, lambda session: tombstones.delete_alerts(session, *old)):
+            yield count
+        return
     candidates, remove = _OF_BOXES[rule.name](rule.before)
     for device_id in _boxes(database, rule, candidates):
         # A piece that removes nothing ends it: what is left is kept by a hold.
@@ -127,6 +132,11 @@ def _trips(before: dt.datetime) -> Candidates:
     return there, lambda session, box, now: tombstones.delete_trips(session, box, *wanted, now=now)[0]
 
 
+def _diagnosis(before: dt.datetime) -> Candidates:
+    there = select(Diagnosis.device_id).where(Diagnosis.device_id == Device.id, Diagnosis.at < before)
+    return there, lambda session, box, _: tombstones.delete_diagnosis(session, box, Diagnosis.at < before)
+
+
 def _ended(before: dt.datetime) -> tuple[ColumnElement[bool], ...]:
     return Trip.ended_at < before, ~Trip.under_way
 
@@ -137,6 +147,7 @@ _OF_BOXES: dict[str, Callable[[dt.datetime], Candidates]] = {
     "trips": _trips,
     "manoeuvres": _events(severe=False),
     "events": _events(severe=True),
+    "diagnosis": _diagnosis,
 }
 
 

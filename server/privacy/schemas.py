@@ -8,7 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from server.edge import Moment
 from server.models import Erasure, Event, RetentionRule
 
-DataClass = Literal["raw", "tracks", "trips", "manoeuvres", "events", "changes", "audit"]
+DataClass = Literal["raw", "tracks", "trips", "manoeuvres", "events", "diagnosis", "alerts", "changes", "audit"]
 Days = Annotated[int, Field(ge=1, le=36500)]
 
 

@@ -10,7 +10,20 @@ from sqlalchemy import ColumnElement, and_, or_, select
 from sqlalchemy.orm import Session
 
 from server.errors import InvalidError, NotFoundError
-from server.models import Assignment, Batch, Boot, Change, Device, Event, Installation, Trip, Vehicle
+from server.models import (
+    AccidentClaim,
+    Alert,
+    Assignment,
+    Batch,
+    Boot,
+    Change,
+    Device,
+    Diagnosis,
+    Event,
+    Installation,
+    Trip,
+    Vehicle,
+)
 
 _FIRST, _LAST = dt.datetime(1970, 1, 1, tzinfo=dt.UTC), dt.datetime(9999, 1, 1, tzinfo=dt.UTC)
 
@@ -46,6 +59,22 @@ class Subject:
     def changes(self) -> tuple[ColumnElement[bool], ...]:
         """All of it whatever the time: it is only what a browser replays."""
         return (Change.organisation_id == self.organisation_id, Change.vehicle_id == self.vehicle_id)
+
+    def alerts(self) -> tuple[ColumnElement[bool], ...]:
+        return (
+            Alert.organisation_id == self.organisation_id,
+            Alert.vehicle_id == self.vehicle_id,
+            *(() if self.since is None else (Alert.at >= self.since,)),
+            *(() if self.until is None else (Alert.at < self.until,)),
+        )
+
+    def claims(self) -> tuple[ColumnElement[bool], ...]:
+        """Accidents that somebody said it had: those that touch the time."""
+        return (
+            AccidentClaim.vehicle_id == self.vehicle_id,
+            *(() if self.since is None else (AccidentClaim.ended_at >= self.since,)),
+            *(() if self.until is None else (AccidentClaim.began_at < self.until,)),
+        )
 
     def installations(self) -> tuple[ColumnElement[bool], ...]:
         return (Installation.vehicle_id == self.vehicle_id,)
@@ -102,6 +131,11 @@ def stays(session: Session, subject: Subject) -> list[Stay]:
         for s in found
     ]
     return [stay for stay in clipped if stay.began_at < stay.ended_at]
+
+
+def diagnosis(stay: Stay) -> tuple[ColumnElement[bool], ...]:
+    """Conditions of the named values of a stay."""
+    return Diagnosis.device_id == stay.device_id, Diagnosis.at >= stay.began_at, Diagnosis.at < stay.ended_at
 
 
 def boots_of(session: Session, stay: Stay) -> list[Boot]:

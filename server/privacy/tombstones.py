@@ -17,11 +17,13 @@ from sqlalchemy.orm import Session
 from server.database import Database
 from server.events.holds import held, trip_held
 from server.models import (
+    Alert,
     Batch,
     BatchDigest,
     Boot,
     Device,
     DeviceState,
+    Diagnosis,
     Event,
     EventAction,
     EventInput,
@@ -34,6 +36,8 @@ from server.store import COLLECT_AGE, BlobStore
 
 CHUNK = 200
 """Rows of one transaction: bounds how long an upload of that box waits."""
+ROWS = 1000
+"""Small rows of one transaction: alerts, values."""
 TRIPS = 10
 """Trips of one transaction; each has up to some ten thousand points."""
 NEIGHBOUR_S = 2.0
@@ -199,3 +203,20 @@ def _delete_points(session: Session, trips: Sequence[str]) -> int:
     points = session.scalar(count) or 0
     session.execute(delete(TrackPoint).where(TrackPoint.trip_id.in_(trips)))
     return points
+
+
+def delete_alerts(session: Session, *wanted: ColumnElement[bool]) -> int:
+    """Delete the first of the wanted alerts with the messages sent of them; how many alerts."""
+    ids = list(session.scalars(select(Alert.id).where(*wanted).order_by(Alert.created_at, Alert.id).limit(ROWS)))
+    session.execute(delete(Alert).where(Alert.id.in_(ids)))
+    return len(ids)
+
+
+def delete_diagnosis(session: Session, device_id: str, *wanted: ColumnElement[bool]) -> int:
+    """Delete the oldest of the wanted named values of a box; how many."""
+    of_box = Diagnosis.device_id == device_id, *wanted
+    last = session.scalar(select(Diagnosis.at).where(*of_box).order_by(Diagnosis.at).offset(ROWS - 1).limit(1))
+    there = of_box if last is None else (*of_box, Diagnosis.at <= last)
+    count = session.scalar(select(func.count()).select_from(Diagnosis).where(*there)) or 0
+    session.execute(delete(Diagnosis).where(*there))
+    return count

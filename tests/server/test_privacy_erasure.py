@@ -19,12 +19,16 @@ from server.evidence.audit import audit
 from server.evidence.verify import check
 from server.formats.columns import Columns
 from server.models import (
+    AccidentClaim,
+    Alert,
+    AlertDelivery,
     AuditEntry,
     Batch,
     BatchDigest,
     Boot,
     Change,
     DeviceState,
+    Diagnosis,
     Erasure,
     Event,
     EventRevision,
@@ -61,6 +65,55 @@ def run(fleet) -> int:
 def crash_of(fleet) -> Event:
     (row,) = [event for event in fleet.rows(Event) if event.kind == "crash"]
     return row
+
+
+def tell(fleet, *, at: dt.datetime) -> None:
+    """An alert with its message, a claim and named values of the fleet's vehicle."""
+    org, key = fleet.organisation.id, f"{at:%Y%m%d%H%M%S}"
+    with fleet.database.transaction() as session:
+        session.add(
+            Alert(
+                id=f"a{key}", organisation_id=org, kind="geofence", severity="info", occurrence=key,
+                device_id=fleet.device_id, vehicle_id=fleet.vehicle_id, at=at, created_at=at, facts={"lat_deg": 45.1},
+            )
+        )  # fmt: skip
+        session.flush()
+        session.add(
+            AlertDelivery(
+                id=f"d{key}", organisation_id=org, alert_id=f"a{key}", channel_id="c", reason="raised", priority=1,
+                state="delivered", created_at=at, due_at=at, body=b"at 45.1",
+            )
+        )  # fmt: skip
+        session.add(
+            AccidentClaim(
+                id=f"c{key}", organisation_id=org, vehicle_id=fleet.vehicle_id, reference="17", began_at=at,
+                ended_at=at, created_at=at, created_by="ada", answer={},
+            )
+        )  # fmt: skip
+        session.add_all(
+            Diagnosis(device_id=fleet.device_id, name=name, at=at, value=12.6) for name in ("battery", "temp")
+        )
+
+
+@both
+def test_alerts_claims_and_diagnosis_of_the_time_go_and_are_in_the_export(fleet, admin, vehicle_url):
+    early, late = T0 + dt.timedelta(minutes=1), T0 + dt.timedelta(days=2)
+    tell(fleet, at=early)
+    tell(fleet, at=late)
+    archive = zipfile.ZipFile(io.BytesIO(admin.get(f"{vehicle_url}/export").content))
+    for name, count in (("alerts", 2), ("alert_deliveries", 2), ("claims", 2), ("diagnosis", 4)):
+        assert len(archive.read(f"{name}.jsonl").splitlines()) >= count, name
+    until = (T0 + dt.timedelta(days=1)).isoformat()
+    admin.post(f"{vehicle_url}/erasure", json={"reason": "who drove that day", "until": until})
+    assert run(fleet) == 1
+    left = [row.created_at for model in (Alert, AlertDelivery) for row in fleet.rows(model)]
+    assert left == [late, late]
+    assert [row.began_at for row in fleet.rows(AccidentClaim)] == [late]
+    assert {row.at for row in fleet.rows(Diagnosis)} == {late}
+    told = fleet.one(Erasure).erased
+    assert told["alerts"] >= 1
+    assert told["claims"] == 1
+    assert told["diagnosis"] >= 2
 
 
 @both

@@ -13,10 +13,12 @@ from server.events import service as events
 from server.evidence.audit import audit
 from server.jobs.work import bring_up_to_date
 from server.models import (
+    Alert,
     AuditEntry,
     Batch,
     BatchDigest,
     Change,
+    Diagnosis,
     Event,
     EventInput,
     EventRevision,
@@ -319,3 +321,26 @@ def test_rules_apply_to_their_own_organisation_only(fleet):
     fleet.pass_time(days=4000)
     assert apply_retention(fleet.database, fleet.store, now=fleet.clock()).counts == {}
     assert retention.ROWS > 0
+
+
+def test_old_alerts_and_values_go_by_their_own_rules(fleet, monkeypatch):
+    monkeypatch.setattr(tombstones, "ROWS", 3)  # several pieces
+    now = fleet.clock() + dt.timedelta(days=20)
+    with fleet.database.transaction() as session:
+        for day in range(10):
+            at = now - dt.timedelta(days=day, hours=1)
+            session.add(
+                Alert(
+                    id=f"a{day}", organisation_id=fleet.organisation.id, kind="silent", severity="info",
+                    occurrence=str(day), device_id=fleet.device_id, at=at, created_at=at, facts={},
+                )
+            )  # fmt: skip
+            session.add_all(Diagnosis(device_id=fleet.device_id, name=n, at=at, value=1.0) for n in ("a", "b"))
+    set_days(fleet, alerts=4, diagnosis=2)
+    removed = apply_retention(fleet.database, fleet.store, now=now).counts
+    assert removed["alerts"] >= 6
+    assert removed["diagnosis"] >= 16
+    assert sorted(row.id for row in fleet.rows(Alert)) == ["a0", "a1", "a2", "a3"]
+    assert len(fleet.rows(Diagnosis)) == 4
+    told = {row.subject: row.detail["removed"] for row in fleet.rows(AuditEntry) if row.action == "retention"}
+    assert told == {name: removed[name] for name in ("alerts", "diagnosis")}
