@@ -8,11 +8,11 @@ takes either's error: for use in motion, where gravity is disturbed.  `wahba` is
 `check_level` and `orientations` are the installation by hand.
 """
 
-from nav_core.alignment.by_hand import LevelCheck, check_level, largest_tilt, orientations, tilt_errors
 from nav_core.alignment.directions import Attitude, WahbaFit, triad, wahba
 from nav_core.alignment.levelling import Gyrocompass, Levelling, gyrocompass, level, mean_sigma, tilt
 from nav_core.alignment.magnetic import GaussNewtonFit, gauss_newton, master_slave
 from nav_core.alignment.recording import Alignment, Place, Trust, align, longest_rest
+from nav_core.by_hand import LevelCheck, check_level, largest_tilt, levelled, orientations, tilt_errors
 
 __all__ = [
     "Alignment",
@@ -30,6 +30,7 @@ __all__ = [
     "gyrocompass",
     "largest_tilt",
     "level",
+    "levelled",
     "longest_rest",
     "master_slave",
     "mean_sigma",

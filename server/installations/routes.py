@@ -8,9 +8,16 @@ from fastapi import APIRouter, Query
 
 from server.accounts.access import Installer, Reader
 from server.devices.queries import device_of
-from server.edge import DatabaseOf, Now
-from server.installations import queries, service
-from server.installations.schemas import History, InstallationOut, ManualMounting, installation_out
+from server.edge import DatabaseOf, Now, StoreOf
+from server.installations import level, queries, service
+from server.installations.schemas import (
+    History,
+    InstallationOut,
+    LevelOut,
+    ManualMounting,
+    installation_out,
+    level_out,
+)
 
 router = APIRouter(prefix="/api/v1/devices/{device_id}", tags=["installations"])
 
@@ -36,6 +43,18 @@ def read_history(
         rows = queries.history(session, device_id)
         found = queries.revisions(session, [row.id for row in rows]) if revisions else {}
         return History(items=[installation_out(device_id, row, found.get(row.id)) for row in rows])
+
+
+@router.get("/level")
+def read_level(device_id: str, caller: Reader, database: DatabaseOf, store: StoreOf, now: Now) -> LevelOut:
+    """What the box feels just now: for levelling it by hand, and for the live arrows of the 3D view."""
+    with database.reading() as session:
+        device_of(session, caller.organisation_id, device_id)
+        found = level.sources(session, device_id)
+        row = queries.current(session, device_id)
+        known = row is not None and row.status in ("ready", "settling")
+        R_va = row.result.get("R_va") if row is not None and known else None
+    return level_out(level.feel(store, found), R_va, now=now)
 
 
 @router.put("/installation")

@@ -4,11 +4,14 @@ import datetime as dt
 import math
 from typing import Annotated, Any
 
+import numpy as np
 from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, model_validator
 
+from nav_core.by_hand import largest_tilt
 from nav_core.rotation import thesis_to_matrix
 from server.devices.schemas import Rotation
 from server.installations.blank import blank_result
+from server.installations.level import FRESH_FOR, Feel, level_of
 from server.models import Installation, MountingRevision
 
 
@@ -95,6 +98,23 @@ class History(BaseModel):
     items: list[InstallationOut]
 
 
+class LevelOut(BaseModel):
+    """The newest second of a box's specific force, and whether the box stands on one of its axes (001 §3.2)."""
+
+    received_at: dt.datetime | None = Field(description="null before any data, like all the rest")
+    at: dt.datetime | None = Field(description="of the last sample, where the box's clock is known")
+    fresh: bool = Field(description="received so lately that it tells of now")
+    still: bool
+    f_a_mps2: list[float] | None = Field(description="mean specific force in the box's axes")
+    f_v_mps2: list[float] | None = Field(description="the same in the vehicle's axes, where the mounting is known")
+    axis: str | None = Field(description="of the box, nearest to the vertical: x, y or z")
+    sign: int | None = Field(description="1 where this axis points up, -1 where it points down")
+    reading_g: float | None = Field(description="specific force along this axis, in parts of gravity")
+    tilt_deg: float | None = Field(description="between this axis and the vertical")
+    tolerance_deg: float
+    ok: bool = Field(description="upright within the tolerance, and still")
+
+
 class ManualMounting(BaseModel):
     """A measured mounting: the matrix or the angles, and why."""
 
@@ -143,6 +163,26 @@ def installation_out(
     if revisions is not None:
         fields["revisions"] = [_revision_out(revision) for revision in revisions]
     return InstallationOut(**(blank_result() if row is None else row.result), **fields)
+
+
+def level_out(felt: Feel | None, R_va: list[list[float]] | None, *, now: dt.datetime) -> LevelOut:
+    """What a box feels as JSON; nulls where it has sent nothing yet."""
+    level = None if felt is None else level_of(felt)
+    check = None if level is None else level.check
+    return LevelOut(
+        received_at=None if felt is None else felt.received_at,
+        at=None if felt is None else felt.at,
+        fresh=felt is not None and now - felt.received_at <= FRESH_FOR,
+        still=felt is not None and felt.still,
+        f_a_mps2=None if felt is None else felt.f_a.tolist(),
+        f_v_mps2=None if felt is None or R_va is None else (np.asarray(R_va) @ felt.f_a).tolist(),
+        axis=None if check is None else "xyz"[check.axis],
+        sign=None if check is None else check.sign,
+        reading_g=None if check is None else check.reading,
+        tilt_deg=None if check is None else math.degrees(check.angle),
+        tolerance_deg=math.degrees(largest_tilt()),
+        ok=level is not None and level.ok,
+    )
 
 
 def _revision_out(revision: MountingRevision) -> RevisionOut:

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nav_core.errors import RangeError
+from nav_core.rotation import skew
 from nav_core.typing import Floats, trailing
 
 TOLERANCE = 0.05
@@ -150,3 +151,38 @@ def orientations(axis: int, sign: int) -> Floats:
     quarter = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     # A zero with a minus would make 180° of an angle -180°.
     return np.stack([np.linalg.matrix_power(quarter, k) @ first for k in range(4)]) + 0.0
+
+
+def levelled(R_va: Floats, f: Floats) -> Floats:
+    """An orientation of `orientations`, turned by the smallest rotation that stands the measured vertical upright.
+
+    What the tolerance lets through, up to 18°, is thus measured rather than left in the mounting (001 §3.2 leaves it);
+    what remains is how level the vehicle stood.
+
+    Parameters
+    ----------
+    R_va : ndarray, shape (3, 3)
+    f : ndarray, shape (3,)
+        Mean specific force at rest, A-frame, m/s².
+
+    Returns
+    -------
+    ndarray, shape (3, 3)
+        A rotation with ``R @ f = (0, 0, -|f|)``.
+
+    Raises
+    ------
+    ShapeError, RangeError
+        Also when `R_va` stands the box upside down against `f`.
+    """
+    f = trailing("f", f, 3)
+    size = float(np.linalg.norm(f))
+    if not size > 0.0:
+        raise RangeError("specific force", size, "> 0 m/s²")
+    up, wanted = R_va @ f / size, np.array([0.0, 0.0, -1.0])
+    cosine = float(up @ wanted)
+    if not cosine > 0.0:
+        raise RangeError("upward share of the specific force", cosine, "> 0")
+    # Rodrigues for the rotation from `up` to `wanted`; their cross product is sin(angle) times its axis.
+    cross = skew(np.cross(up, wanted))
+    return (np.eye(3) + cross + cross @ cross / (1.0 + cosine)) @ R_va
