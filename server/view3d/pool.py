@@ -1,4 +1,7 @@
-"""One viser server per box that somebody looks at, brought up when needed and stopped when idle."""
+"""One viser server per box that somebody looks at, brought up when needed and stopped when idle.
+
+Whoever walks through a box's history gets a server of his own: what he chooses is nobody else's picture.
+"""
 
 from __future__ import annotations
 
@@ -7,22 +10,36 @@ import time
 from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
+import numpy as np
 import structlog
 import viser
 from sqlalchemy import func, select
+from sqlalchemy.orm import Session
 
 from server.database import Database
 from server.edge import Clock
 from server.errors import NotFoundError, UnavailableError
-from server.models import Change
+from server.installations.level import Feel, Source, feel, level_of, sources
+from server.models import Change, DeviceState
+from server.store import BlobStore
+from server.view3d.live import Live, LiveParts
 from server.view3d.scene import MountingScene
-from server.view3d.view import load
+from server.view3d.uncertainty import axis_ellipse
+from server.view3d.view import Choice, MountingView, load, load_step, proposal_view
 
 # Rows of these kinds come with every upload and never change what the scene shows.
 _QUIET_KINDS = ("batch", "position", "trip")
 
 _log = structlog.get_logger(__name__)
+
+
+class Subject(NamedTuple):
+    """What a server is for: a box, for everybody who looks at it or for the holder of one ticket."""
+
+    device_id: str
+    owner: str | None = None
 
 
 @dataclass(slots=True)
@@ -33,6 +50,18 @@ class _Stage:
     scene: MountingScene
     onlookers: int = 0
     left_at: float = 0.0
+    live: LiveParts | None = None
+    """Arrows and north; only on a stage of one's own, like the choice."""
+    choice: Choice = Choice()
+
+
+@dataclass(frozen=True, slots=True)
+class _News:
+    """What was read for a stage, outside its scene."""
+
+    view: MountingView
+    felt: Feel | None
+    course: float | None
 
 
 class ScenePool:
@@ -46,6 +75,7 @@ class ScenePool:
         database: Database,
         *,
         clock: Clock,
+        store: BlobStore | None = None,
         capacity: int = 64,
         idle_s: float = 60.0,
         poll_s: float = 0.3,
@@ -53,11 +83,12 @@ class ScenePool:
     ) -> None:
         self._database = database
         self._clock = clock
+        self._store = store
         self._capacity = capacity
         self._idle_s = idle_s
         self._poll_s = poll_s
         self._monotonic = monotonic
-        self._stages: OrderedDict[str, _Stage] = OrderedDict()
+        self._stages: OrderedDict[Subject, _Stage] = OrderedDict()
         # Held while a stage is built and while changes are applied: a change that commits in between is
         # seen either by the load or by the tail that follows it.
         self._lock = threading.Lock()
@@ -66,32 +97,52 @@ class ScenePool:
         self._tail = threading.Thread(target=self._follow, name="view3d-tail", daemon=True)
         self._tail.start()
 
-    def enter(self, device_id: str) -> int:
+    def enter(self, device_id: str, owner: str | None = None) -> int:
         """Add an onlooker; the loopback port of the box's server, which runs until he and all others `leave`.
 
         Raises when the box does not exist or no place is left.
         """
+        subject = Subject(device_id, owner)
         with self._lock:
-            stage = self._stages.get(device_id)
+            stage = self._stages.get(subject)
             if stage is None:
                 self._make_room()
-                stage = self._stages[device_id] = self._build(device_id)
-            self._stages.move_to_end(device_id)
+                stage = self._stages[subject] = self._build(subject)
+            self._stages.move_to_end(subject)
             stage.onlookers += 1
             return stage.server.get_port()
 
-    def leave(self, device_id: str) -> None:
+    def leave(self, device_id: str, owner: str | None = None) -> None:
         """Take an onlooker away; the server stays for a while in case he comes back."""
         with self._lock:
-            stage = self._stages.get(device_id)
+            stage = self._stages.get(Subject(device_id, owner))
             if stage is not None:
                 stage.onlookers -= 1
                 stage.left_at = self._monotonic()
 
+    def choose(self, device_id: str, owner: str, choice: Choice) -> None:
+        """Show something else of the box's history to the owner of this server."""
+        with self._lock:
+            stage = self._stages.get(Subject(device_id, owner))
+            if stage is None:
+                raise NotFoundError("The 3D view is not open")
+            with self._database.reading() as session:
+                seen = self._read(session, device_id, choice)
+            stage.choice = choice
+            self._apply(stage, seen)
+
+    def state(self, device_id: str, owner: str) -> dict[str, Any]:
+        """What the owner's server shows, in plain words for the page around it, and for tests."""
+        with self._lock:
+            stage = self._stages.get(Subject(device_id, owner))
+            if stage is None:
+                return {"onlookers": 0, "step": None, "drawn": []}
+            return {"onlookers": stage.onlookers, "step": stage.choice.step, **_told(stage)}
+
     def running(self) -> tuple[str, ...]:
         """The boxes that have a server now, least recently opened first."""
         with self._lock:
-            return tuple(self._stages)
+            return tuple(subject.device_id for subject in self._stages)
 
     def close(self) -> None:
         """Stop the thread and every server."""
@@ -102,26 +153,58 @@ class ScenePool:
                 stage.server.stop()
             self._stages.clear()
 
-    def _build(self, device_id: str) -> _Stage:
+    def _build(self, subject: Subject) -> _Stage:
+        own = subject.owner is not None
         with self._database.reading() as session:
             if not self._stages:
                 # Nobody followed the table meanwhile; what is there now is in what is loaded next.
                 self._seen = session.scalar(select(func.max(Change.id))) or 0
-            view = load(session, device_id, now=self._clock())
-        if view is None:
-            raise NotFoundError(f"no device {device_id}")
+            if own:
+                news = self._read(session, subject.device_id, Choice())
+            else:
+                view = load(session, subject.device_id, now=self._clock())
+                news = None if view is None else _News(view, None, None)
+        if news is None:
+            raise NotFoundError(f"no device {subject.device_id}")
         server = viser.ViserServer(host="127.0.0.1", port=0, label=None, verbose=False)
         close_share(server)
-        scene = MountingScene(server)
-        scene.show(view)
-        return _Stage(server, scene)
+        stage = _Stage(server, MountingScene(server, bare=own), live=LiveParts(server) if own else None)
+        self._apply(stage, news)
+        return stage
+
+    def _read(self, session: Session, device_id: str, choice: Choice) -> _News | None:
+        """Everything that a stage of one's own shows."""
+        view = load_step(session, device_id, choice, now=self._clock())
+        if view is None:
+            return None
+        state = session.get(DeviceState, device_id)
+        felt = self._feel(sources(session, device_id))
+        if choice.proposal is not None and felt is not None:
+            level = level_of(felt)
+            if level is not None and level.choices:
+                view = proposal_view(view, level.choices[choice.proposal].tolist())
+        return _News(view, felt, None if state is None else state.course_rad)
+
+    def _feel(self, found: list[Source]) -> Feel | None:
+        return None if self._store is None else feel(self._store, found)
+
+    def _apply(self, stage: _Stage, news: _News | None) -> None:
+        if news is None:
+            return
+        stage.scene.show(news.view)
+        if stage.live is not None:
+            R_va, f_v = news.view.R_va, None
+            if R_va is not None and news.felt is not None:
+                x, y, z = (np.array(R_va) @ news.felt.f_a).round(2).tolist()
+                f_v = (x, y, z)
+            stage.live.show(Live(f_v, news.course), news.view.vehicle_class)
 
     def _make_room(self) -> None:
         if len(self._stages) < self._capacity:
             return
-        for device_id, stage in self._stages.items():
+        for subject, stage in self._stages.items():
             if stage.onlookers == 0:
-                self._stages.pop(device_id).server.stop()
+                self._stages.pop(subject).server.stop()
                 return
         raise UnavailableError(f"{self._capacity} 3D views are open, no more at once")
 
@@ -136,26 +219,64 @@ class ScenePool:
         """Apply the changes since the last look, and stop servers that nobody looked at for a while."""
         with self._lock:
             now = self._monotonic()
-            for device_id, stage in list(self._stages.items()):
+            for subject, stage in list(self._stages.items()):
                 if stage.onlookers == 0 and now - stage.left_at >= self._idle_s:
-                    self._stages.pop(device_id).server.stop()
+                    self._stages.pop(subject).server.stop()
             if not self._stages:
                 return
             with self._database.reading() as session:
                 newest = session.scalar(select(func.max(Change.id))) or 0
                 if newest == self._seen:
                     return
-                changed = session.scalars(
-                    select(Change.device_id)
-                    .where(Change.id > self._seen, Change.id <= newest)
-                    .where(Change.kind.not_in(_QUIET_KINDS), Change.device_id.in_(self._stages))
-                    .distinct()
-                ).all()
-                views = [(device_id, load(session, device_id, now=self._clock())) for device_id in changed if device_id]
-            for device_id, view in views:
-                if view is not None:
-                    self._stages[device_id].scene.show(view)
+                news = self._news(session, newest)
+            for subject, seen in news:
+                self._apply(self._stages[subject], seen)
             self._seen = newest
+
+    def _news(self, session: Session, newest: int) -> list[tuple[Subject, _News | None]]:
+        """What changed of the boxes that somebody looks at; arrows follow every upload, the rest only estimates."""
+        watched = {subject.device_id for subject in self._stages}
+        changed = session.execute(
+            select(Change.device_id, Change.kind)
+            .where(Change.id > self._seen, Change.id <= newest, Change.device_id.in_(watched))
+            .distinct()
+        ).all()
+        moving = {device_id for device_id, _ in changed}
+        estimated = {device_id for device_id, kind in changed if kind not in _QUIET_KINDS}
+        found: list[tuple[Subject, _News | None]] = []
+        for subject, stage in self._stages.items():
+            if stage.live is not None and subject.device_id in moving:
+                found.append((subject, self._read(session, subject.device_id, stage.choice)))
+            elif stage.live is None and subject.device_id in estimated:
+                view = load(session, subject.device_id, now=self._clock())
+                found.append((subject, None if view is None else _News(view, None, None)))
+        return found
+
+
+def _told(stage: _Stage) -> dict[str, Any]:
+    """What a stage draws: names of its parts, and the figures that give them their shape."""
+    view = stage.scene.shown
+    live = None if stage.live is None else stage.live.shown
+    drawn = ["vehicle", "v_frame"]
+    cones = None
+    if view is not None:
+        drawn += ["box", "a_frame"] if view.R_va is not None else ["unknown"]
+        drawn += ["before"] if view.before is not None else []
+        drawn += ["reference"] if view.reference is not None else []
+        if view.R_va is not None and view.sigma is not None:
+            drawn.append("cones")
+            sigma = np.array(view.sigma)
+            halves = [axis_ellipse(axis, sigma)[0] for axis in np.array(view.R_va).T]
+            cones = [np.degrees(half).round(3).tolist() for half in halves]
+    if live is not None:
+        drawn += ["gravity", "t_frame" if live.course is not None else "down"]
+        drawn += ["force"] if live.f_v is not None else []
+    return {
+        "drawn": drawn,
+        "R_va": None if view is None else view.R_va,
+        "cones_deg": cones,
+        "f_v_mps2": None if live is None else live.f_v,
+    }
 
 
 def close_share(server: viser.ViserServer) -> None:

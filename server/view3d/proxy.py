@@ -59,6 +59,19 @@ async def recording(request: Request, ticket: str, device_id: str, event_id: str
     return await forward(request, f"{_path(ticket, device_id)}/events/{quote(event_id, safe='')}.viser")
 
 
+@router.get("/view3d/{ticket}/{device_id}/mounting/")
+async def own_page(request: Request, ticket: str, device_id: str) -> Response:
+    """The page of a view of one's own, that walks through a box's history."""
+    return await forward(request, f"{_path(ticket, device_id)}/mounting/")
+
+
+@router.get("/view3d/{ticket}/{device_id}/mounting/state")
+@router.put("/view3d/{ticket}/{device_id}/mounting/state")
+async def own_state(request: Request, ticket: str, device_id: str) -> Response:
+    """What such a view shows; PUT shows something else."""
+    return await forward(request, f"{_path(ticket, device_id)}/mounting/state")
+
+
 async def forward(request: Request, path: str) -> Response:
     """The viewer's answer; 503 where there is no viewer."""
     base = viewer_url(request)
@@ -67,7 +80,8 @@ async def forward(request: Request, path: str) -> Response:
         async with httpx.AsyncClient(trust_env=False, timeout=30.0) as client:
             with contextlib.suppress(httpx.TransportError):
                 headers = {"accept-encoding": request.headers.get("accept-encoding", "identity"), **forwarded(request)}
-                async with client.stream("GET", f"{base}{path}", headers=headers) as answer:
+                sent = {} if request.method == "GET" else {"content": await request.body()}
+                async with client.stream(request.method, f"{base}{path}", headers=headers, **sent) as answer:
                     body = b"".join([part async for part in answer.aiter_raw()])
                 kept = {name: answer.headers[name] for name in _PASSED_ON if name in answer.headers}
                 return Response(body, answer.status_code, kept)
@@ -78,8 +92,18 @@ async def forward(request: Request, path: str) -> Response:
 @router.websocket("/view3d/{ticket}/{device_id}/")
 async def socket(websocket: WebSocket, ticket: str, device_id: str) -> None:
     """The view's socket, piped to the viewer."""
+    await _pipe(websocket, _path(ticket, device_id))
+
+
+@router.websocket("/view3d/{ticket}/{device_id}/mounting")
+async def own_socket(websocket: WebSocket, ticket: str, device_id: str) -> None:
+    """The socket of a view of one's own."""
+    await _pipe(websocket, f"{_path(ticket, device_id)}/mounting")
+
+
+async def _pipe(websocket: WebSocket, path: str) -> None:
     base = viewer_url(websocket)
     if base is None:
         await refuse(websocket, 503, _DOWN)
         return
-    await relay(websocket, f"ws{base.removeprefix('http')}{_path(ticket, device_id)}", headers=forwarded(websocket))
+    await relay(websocket, f"ws{base.removeprefix('http')}{path}", headers=forwarded(websocket))

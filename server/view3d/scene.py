@@ -39,17 +39,21 @@ def wxyz(matrix: Floats) -> Floats:
 
 
 class MountingScene:
-    """Draws `MountingView`s on one viser server; shows the latest."""
+    """Draws `MountingView`s on one viser server; shows the latest.
 
-    def __init__(self, server: viser.ViserServer) -> None:
+    `bare` leaves the words to the page around it, in its language, and names the axes by their frame's letter.
+    """
+
+    def __init__(self, server: viser.ViserServer, *, bare: bool = False) -> None:
         self._server = server
+        self._bare = bare
         self._vehicle_class = ""
         self._body: viser.FrameHandle | None = None
         self._mounting: viser.FrameHandle | None = None
         self._shown: MountingView | None = None
         server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="medium")
         server.scene.configure_default_lights(enabled=False)
-        self._panel = server.gui.add_html("")
+        self._panel = None if bare else server.gui.add_html("")
         server.scene.add_grid(
             "/ground", 16.0, 16.0, cell_size=1.0, section_size=4.0, cell_color=_LINE, section_color=_LINE,
             cell_thickness=0.5, section_thickness=0.8, fade_distance=18.0, fade_strength=2.0, fade_from="origin",
@@ -65,8 +69,9 @@ class MountingScene:
                 self._vehicle_class = view.vehicle_class
                 self._draw_vehicle(BODIES.get(view.vehicle_class, BODIES["car"]))
             self._draw_box(view)
-            self._server.gui.set_panel_label(headline(view))
-            self._panel.content = panel_html(view)
+            self._server.gui.set_panel_label(view.title if self._bare else headline(view))
+            if self._panel is not None:
+                self._panel.content = panel_html(view)
         self._server.flush()
         self._shown = view
 
@@ -93,7 +98,8 @@ class MountingScene:
             -origin[2],
         )
         scene.add_frame("/vehicle/body/v", show_axes=False, position=origin)
-        for axis, (name, length) in enumerate(zip(("x forward", "y right", "z down"), lengths, strict=True)):
+        names = ("x V", "y V", "z V") if self._bare else ("x forward", "y right", "z down")
+        for axis, (name, length) in enumerate(zip(names, lengths, strict=True)):
             tip = length * np.eye(3)[axis]
             scene.add_arrows(
                 f"/vehicle/body/v/{name[0]}",
@@ -130,6 +136,13 @@ class MountingScene:
             scene.add_label(
                 "/vehicle/mounting/reference/label", "reference", position=edges[0, 0], anchor="center-right"
             )
+        if view.before is not None:
+            draw_before(scene, "/vehicle/mounting/before", np.array(view.before), size)
+
+    @property
+    def shown(self) -> MountingView | None:
+        """What is drawn now."""
+        return self._shown
 
     def _draw_estimate(self, R_va: Floats, view: MountingView, size: Floats) -> None:
         scene = self._server.scene
@@ -150,7 +163,7 @@ class MountingScene:
                 head_length=0.09,
             )
             scene.add_label(
-                f"/vehicle/mounting/box/{name}_label", f"box {name}", position=1.08 * tip, anchor="center-center",
+                f"/vehicle/mounting/box/{name}_label", f"{name} A" if self._bare else f"box {name}", position=1.08 * tip, anchor="center-center",
                 font_screen_scale=0.9,
             )  # fmt: skip
             if view.sigma is not None:
@@ -173,7 +186,7 @@ class MountingScene:
         scene.add_icosphere("/vehicle/mounting/ghost_lines", radius, _GHOST, subdivisions=2, wireframe=True)
         scene.add_label(
             "/vehicle/mounting/ghost_label",
-            f"{view.headline}: orientation unknown",
+            "?" if self._bare else f"{view.headline}: orientation unknown",
             position=(0.0, 0.0, -1.5 * radius),
             anchor="bottom-center",
         )
@@ -202,6 +215,16 @@ def draw_body(scene: viser.SceneApi, root: str, body: Body) -> viser.FrameHandle
         scene.add_cylinder(name, wheel.radius, wheel.width, _RUBBER, wxyz=across, position=place)
         scene.add_cylinder(f"{name}hub", 0.55 * wheel.radius, wheel.width + 0.02, _GLASS, wxyz=across, position=place)
     return frame
+
+
+def draw_before(scene: viser.SceneApi, root: str, R_va: Floats, size: Floats) -> None:
+    """A box as it sat before it was moved: a pale shape with its axes as thin lines."""
+    scene.add_frame(root, show_axes=False, wxyz=wxyz(R_va))
+    scene.add_box(f"{root}/case", _GHOST, size, opacity=0.3)
+    scene.add_line_segments(f"{root}/edges", box_edges(size).astype(np.float32), _GHOST, thickness=0.012)
+    axes = np.stack([np.zeros((3, 3)), _AXIS_TO_BOX * float(size.max()) * np.eye(3)], axis=1)
+    colours = np.repeat(np.array(AXIS_COLOURS, dtype=np.uint8)[:, None], 2, axis=1)
+    scene.add_line_segments(f"{root}/axes", axes.astype(np.float32), colours, thickness=0.008)
 
 
 def box_edges(size: Floats) -> Floats:

@@ -5,12 +5,13 @@ from __future__ import annotations
 import datetime as dt
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
+from server.installations.steps import steps
 from server.models import Device, Installation, MountingRevision, Vehicle
 from server.pages.words import State, standing
 
@@ -34,6 +35,55 @@ class MountingView:
     """1-sigma about V x, y, z, rad."""
     reference: Matrix | None
     """The mounting known from elsewhere, when there is one."""
+    before: Matrix | None = None
+    """How the box sat before it was moved, where that is to be drawn too."""
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """What somebody wants to see of a box's history, instead of how it is now."""
+
+    step: str | None = None
+    """Id of a `Step`; None for the newest."""
+    before: bool = False
+    """Whether the box as it sat before the move is drawn beside it."""
+    proposal: int | None = None
+    """One of the four orientations of a box that is levelled by hand, instead of the estimate."""
+
+
+def load_step(session: Session, device_id: str, choice: Choice, *, now: dt.datetime) -> MountingView | None:
+    """The view of a box at a step of its history; as it is now where the step is gone."""
+    device = session.get(Device, device_id)
+    if device is None:
+        return None
+    found = steps(session, device_id)
+    step = next((step for step in found if step.id == choice.step), found[-1] if found else None)
+    if step is None:
+        return load(session, device_id, now=now)
+    vehicle_id = step.installation.vehicle_id
+    vehicle = session.get(Vehicle, vehicle_id) if vehicle_id else None
+    view = view_of(
+        *_names(device, vehicle),
+        step.status,
+        step.result,
+        progress=step.progress,
+        moved=step.moved,
+        references=device.reference_mountings,
+        at=step.at,
+    )
+    before = step.before.get("R_va") if choice.before and step.before is not None else None
+    return view if before is None else replace(view, before=_matrix(before))
+
+
+def proposal_view(view: MountingView, R_va: Sequence[Sequence[float]]) -> MountingView:
+    """The view with an orientation that is only proposed."""
+    return replace(view, R_va=_matrix(R_va), sigma=None, reference=None, before=None)
+
+
+def _names(device: Device, vehicle: Vehicle | None) -> tuple[str, str]:
+    if vehicle is None:
+        return device.name, "car"
+    return f"{vehicle.name} · {device.name}", vehicle.vehicle_class
 
 
 def load(session: Session, device_id: str, *, now: dt.datetime) -> MountingView | None:
@@ -49,8 +99,7 @@ def load(session: Session, device_id: str, *, now: dt.datetime) -> MountingView 
         .order_by(Installation.ended_at.is_not(None), Installation.began_at.desc(), Installation.id.desc())
         .limit(1)
     ).first()
-    title = device.name if vehicle is None else f"{vehicle.name} · {device.name}"
-    vehicle_class = "car" if vehicle is None else vehicle.vehicle_class
+    title, vehicle_class = _names(device, vehicle)
     if installation is None:
         return view_of(title, vehicle_class, None, {}, references=device.reference_mountings, at=now)
     data_at = session.scalars(

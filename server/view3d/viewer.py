@@ -17,10 +17,11 @@ from pathlib import Path
 
 import rich
 import uvicorn
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
-from starlette.responses import PlainTextResponse, Response
+from starlette.responses import JSONResponse, PlainTextResponse, Response
 from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket
 
@@ -28,12 +29,24 @@ from server.database import Database
 from server.edge import Clock
 from server.errors import ProblemError
 from server.settings import Settings
+from server.store import open_store
 from server.view3d import permission
 from server.view3d.pool import ScenePool
 from server.view3d.recording import Replays
 from server.view3d.relay import refuse, relay, same_origin
+from server.view3d.view import Choice
 
 _EXPIRED = "This 3D view's ticket has expired. Reload the page that shows it."
+
+
+class Wanted(BaseModel):
+    """What the page around a scene asks it to show."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    step: str | None = Field(default=None, max_length=32)
+    before: bool = False
+    proposal: int | None = Field(default=None, ge=0, le=3)
 
 
 class Viewer:
@@ -43,7 +56,7 @@ class Viewer:
         self._settings = settings
         self._clock = clock
         self._database = Database(settings)
-        self.pool = pool or ScenePool(self._database, clock=clock)
+        self.pool = pool or ScenePool(self._database, clock=clock, store=open_store(settings))
         self.replays = Replays(self._database)
         self._page = client_page()
         self._page_gzip = gzip.compress(self._page, 6)
@@ -57,7 +70,7 @@ class Viewer:
         }
 
     async def page(self, request: Request) -> Response:
-        """The client that viser ships, for the holder of a ticket."""
+        """The client that viser ships, for the holder of a ticket; the same for a view of one's own."""
         secret, device_id = request.path_params["ticket"], request.path_params["device_id"]
         if not await run_in_threadpool(self._opens, secret, device_id):
             return PlainTextResponse(_EXPIRED, 403, self._headers)
@@ -68,6 +81,13 @@ class Viewer:
 
     async def socket(self, websocket: WebSocket) -> None:
         """The scene's socket: ticket and origin are checked, then bytes pass both ways."""
+        await self._pass_on(websocket, None)
+
+    async def own_socket(self, websocket: WebSocket) -> None:
+        """The same, to a scene that is the ticket holder's own."""
+        await self._pass_on(websocket, websocket.path_params["ticket"])
+
+    async def _pass_on(self, websocket: WebSocket, owner: str | None) -> None:
         secret, device_id = websocket.path_params["ticket"], websocket.path_params["device_id"]
         if not same_origin(websocket.headers, self._settings.trusted_origins):
             await refuse(websocket, 403, "The 3D view does not open from another site.")
@@ -76,7 +96,7 @@ class Viewer:
             await refuse(websocket, 403, _EXPIRED)
             return
         try:
-            port = await run_in_threadpool(self.pool.enter, device_id)
+            port = await run_in_threadpool(self.pool.enter, device_id, owner)
         except ProblemError as problem:
             await refuse(websocket, problem.status, problem.detail)
             return
@@ -85,7 +105,24 @@ class Viewer:
             await relay(websocket, f"ws://127.0.0.1:{port}/")
         finally:
             renewing.cancel()
-            await run_in_threadpool(self.pool.leave, device_id)
+            await run_in_threadpool(self.pool.leave, device_id, owner)
+
+    async def state(self, request: Request) -> Response:
+        """What the ticket holder's own scene shows; PUT shows something else."""
+        secret, device_id = request.path_params["ticket"], request.path_params["device_id"]
+        if not await run_in_threadpool(self._opens, secret, device_id):
+            return PlainTextResponse(_EXPIRED, 403, self._headers)
+        try:
+            if request.method == "PUT":
+                wanted = Wanted.model_validate_json(await request.body())
+                choice = Choice(wanted.step, wanted.before, wanted.proposal)
+                await run_in_threadpool(self.pool.choose, device_id, secret, choice)
+            told = await run_in_threadpool(self.pool.state, device_id, secret)
+        except ValidationError:
+            return PlainTextResponse("Not a choice of step, before, proposal", 422, self._headers)
+        except ProblemError as problem:
+            return PlainTextResponse(problem.detail, problem.status, self._headers)
+        return JSONResponse(told, headers=self._headers)
 
     async def recording(self, request: Request) -> Response:
         """A recorded replay of one of the box's events, for the holder of a ticket for it."""
@@ -154,6 +191,9 @@ def create_viewer(
             Route("/healthz", viewer.health),
             Route(path + "/", viewer.page),
             Route(path + "/events/{event_id}.viser", viewer.recording),
+            Route(path + "/mounting/", viewer.page),
+            Route(path + "/mounting/state", viewer.state, methods=["GET", "PUT"]),
+            WebSocketRoute(path + "/mounting", viewer.own_socket),
             # viser's client drops the slash at the end of the page's address to get the socket's.
             WebSocketRoute(path, viewer.socket),
             WebSocketRoute(path + "/", viewer.socket),
