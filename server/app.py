@@ -38,6 +38,8 @@ from server.operations import routes as operations
 from server.pages import accounts as account_pages
 from server.pages import alerts as alert_pages
 from server.pages import fleet_routes, templating
+from server.pages import install_routes as install_pages
+from server.pages import mounting_routes as mounting_pages
 from server.pages import privacy as privacy_pages
 from server.pages import routes as pages
 from server.privacy import routes as privacy
@@ -149,6 +151,8 @@ def create_app(settings: Settings, *, clock: Clock = utc_now) -> FastAPI:
         bulk,
         proxy,
         pages,
+        mounting_pages,
+        install_pages,
         fleet_routes,
         account_pages,
         privacy_pages,

@@ -54,8 +54,7 @@ def claim(session: Session, code: str, *, now: dt.datetime) -> DeviceToken:
     An answer may be lost on its way: until the token was used, the code may be traded again, and each time
     ends the token before.
     """
-    letters = "".join(letter for letter in code.upper() if letter.isalnum()).translate(_LOOK_ALIKE)
-    row = session.get(ClaimCode, hash_of(letters), with_for_update=True)
+    row = session.get(ClaimCode, hash_of(_letters(code)), with_for_update=True)
     device = None if row is None else session.get(Device, row.device_id, with_for_update=True)
     used = row is not None and device is not None and row.claimed_at is not None and _seen_since(device, row.claimed_at)
     if row is None or device is None or device.revoked_at is not None or row.expires_at <= now or used:
@@ -65,6 +64,16 @@ def claim(session: Session, code: str, *, now: dt.datetime) -> DeviceToken:
     device.token_hash, device.next_token_hash = hash_of(token), None
     announce_device(session, device, now)
     return DeviceToken(id=device.id, token=token)
+
+
+def device_by_code(session: Session, code: str) -> Device | None:
+    """The box that a code is printed on, whether it was traded or not: for the installer who holds the box."""
+    row = session.get(ClaimCode, hash_of(_letters(code)))
+    return None if row is None else session.get(Device, row.device_id)
+
+
+def _letters(code: str) -> str:
+    return "".join(letter for letter in code.upper() if letter.isalnum()).translate(_LOOK_ALIKE)
 
 
 def _seen_since(device: Device, moment: dt.datetime) -> bool:

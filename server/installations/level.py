@@ -121,9 +121,7 @@ def level_of(felt: Feel) -> Level | None:
     if not float(np.linalg.norm(felt.f_a)) > 0.1 * STANDARD_GRAVITY:
         return None
     check = check_level(felt.f_a, gravity=STANDARD_GRAVITY)
-    choices = (
-        tuple(levelled(R_va, felt.f_a) for R_va in orientations(check.axis, check.sign)) if check.ok else ()
-    )
+    choices = tuple(levelled(R_va, felt.f_a) for R_va in orientations(check.axis, check.sign)) if check.ok else ()
     return Level(felt, check, choices)
 
 

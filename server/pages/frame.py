@@ -28,6 +28,7 @@ SECTIONS = (
     Section("vehicles", "/vehicles", "car", marked("Vehicles")),
     Section("events", "/events", "impact", marked("Events")),
     Section("alerts", "/alerts", "bell", marked("Alerts")),
+    Section("install", "/install", "wrench", marked("Install"), "install"),
     Section("users", "/users", "people", marked("People"), "users.manage"),
     Section("audit", "/audit", "list", marked("Audit"), "audit.read"),
     Section("privacy", "/privacy", "shield", marked("Privacy"), "privacy.manage"),

@@ -52,7 +52,7 @@ _RULED = TableStyle(
 )
 
 
-def _table(rows: list[list[Any]], shares: tuple[float, ...], width: float, *, headed: bool = True) -> Table:
+def table(rows: list[list[Any]], shares: tuple[float, ...], width: float, *, headed: bool = True) -> Table:
     """A ruled table; text cells of the first row are heads."""
     first = 1 if headed else 0
     cells = [
@@ -67,10 +67,10 @@ def _table(rows: list[list[Any]], shares: tuple[float, ...], width: float, *, he
     return table
 
 
-def _pairs(rows: list[tuple[str, Any]], width: float) -> Table:
+def pairs(rows: list[tuple[str, Any]], width: float) -> Table:
     """Names and values."""
     told = [[Paragraph(html.escape(name), HEAD), value] for name, value in rows]
-    return _table(told, (0.32, 0.68), width, headed=False)
+    return table(told, (0.32, 0.68), width, headed=False)
 
 
 def subject_table(document: dict[str, Any], heading: Heading, words: Words, at: dt.datetime, width: float) -> Table:
@@ -94,7 +94,7 @@ def subject_table(document: dict[str, Any], heading: Heading, words: Words, at: 
         (words("time"), f"{when} · {clock}"),
         (words("place"), place),
     ]
-    return _pairs(rows, width)
+    return pairs(rows, width)
 
 
 def key_figures(document: dict[str, Any], words: Words, width: float) -> Table:
@@ -236,7 +236,7 @@ def driver_tables(event: dict[str, Any], words: Words, width: float) -> list[Flo
         (words("d_steer"), words(driver["steered"] or "not_recorded")),
         (words("d_stop"), words("not_recorded") if stop is None else f"{number(stop, 0)} m"),
     ]
-    return [_table([heads, *rows], (0.2,) * 5, width), _pairs(facts, width)]
+    return [table([heads, *rows], (0.2,) * 5, width), pairs(facts, width)]
 
 
 def provenance_tables(document: dict[str, Any], event_sha256: str, words: Words, width: float) -> list[Flowable]:
@@ -267,7 +267,7 @@ def provenance_tables(document: dict[str, Any], event_sha256: str, words: Words,
         ]
         for batch in shown
     ]
-    found: list[Flowable] = [_pairs(rows, width), _table([heads, *links], (0.08, 0.12, 0.18, 0.31, 0.31), width)]
+    found: list[Flowable] = [pairs(rows, width), table([heads, *links], (0.08, 0.12, 0.18, 0.31, 0.31), width)]
     left = len(inputs["batches"]) - len(shown)
     if left:
         found.append(Paragraph(words("link_more", n=left), HEAD))
@@ -277,15 +277,15 @@ def provenance_tables(document: dict[str, Any], event_sha256: str, words: Words,
 def numbers_table(event: dict[str, Any], words: Words, width: float) -> Table:
     """Every number with its interval; what is not known is not recorded."""
     heads = [words(key) for key in ("n_name", "n_value", "n_interval", "n_unit")]
-    return _table([heads, *map(list, number_rows(event, words))], (0.46, 0.18, 0.22, 0.14), width)
+    return table([heads, *map(list, number_rows(event, words))], (0.46, 0.18, 0.22, 0.14), width)
 
 
 def risk_table(event: dict[str, Any], words: Words, width: float) -> Table:
     """Probabilities by published curves."""
     heads = [words(key) for key in ("r_curve", "r_people", "r_level", "r_p", "n_interval")]
-    return _table([heads, *map(list, risk_rows(event, words))], (0.22, 0.42, 0.1, 0.11, 0.15), width)
+    return table([heads, *map(list, risk_rows(event, words))], (0.22, 0.42, 0.1, 0.11, 0.15), width)
 
 
 def basis_table(document: dict[str, Any], words: Words, width: float) -> Table:
     """Rate, full scale, fixes, lag, mounting."""
-    return _pairs(list(basis_rows(document, words)), width)
+    return pairs(list(basis_rows(document, words)), width)

@@ -34,8 +34,8 @@ from server.reports.figures import sentences
 from server.reports.paper import BOLD, INK, LINE, MONO, MUTED, PLAIN, load_fonts
 from server.reports.words import Language, Words
 
-_MARGIN, _TOP, _BOTTOM = 18 * mm, 24 * mm, 18 * mm
-WIDTH = A4[0] - 2 * _MARGIN
+MARGIN, TOP, BOTTOM = 18 * mm, 24 * mm, 18 * mm
+WIDTH = A4[0] - 2 * MARGIN
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,17 +68,17 @@ def report_pdf(
     template = BaseDocTemplate(
         sink,
         pagesize=A4,
-        leftMargin=_MARGIN,
-        rightMargin=_MARGIN,
-        topMargin=_TOP,
-        bottomMargin=_BOTTOM,
+        leftMargin=MARGIN,
+        rightMargin=MARGIN,
+        topMargin=TOP,
+        bottomMargin=BOTTOM,
         title=f"{words('title')}: {kind}",
         author="Scatola",
         subject=heading.event_id,
         lang=language,
         invariant=1,
     )
-    frame = Frame(_MARGIN, _BOTTOM, WIDTH, A4[1] - _TOP - _BOTTOM, 0, 0, 0, 0, id="page")
+    frame = Frame(MARGIN, BOTTOM, WIDTH, A4[1] - TOP - BOTTOM, 0, 0, 0, 0, id="page")
     template.addPageTemplates([PageTemplate(id="page", frames=[frame])])
 
     class Numbered(Canvas):
@@ -107,22 +107,22 @@ def _head_and_foot(canvas: Any, words: Words, heading: Heading, kind: str, page:
     width, height = A4
     canvas.setFillColor(MUTED)
     canvas.setFont(BOLD, 8)
-    canvas.drawString(_MARGIN, height - 14 * mm, "SCATOLA")
+    canvas.drawString(MARGIN, height - 14 * mm, "SCATOLA")
     canvas.setFont(PLAIN, 8)
-    canvas.drawString(_MARGIN + 46, height - 14 * mm, f"{words('title')} · {kind}")
+    canvas.drawString(MARGIN + 46, height - 14 * mm, f"{words('title')} · {kind}")
     canvas.drawRightString(
-        width - _MARGIN,
+        width - MARGIN,
         height - 14 * mm,
         f"{words('event')} {heading.event_id} · {words('revision')} {heading.revision}",
     )
     canvas.setStrokeColor(LINE)
     canvas.setLineWidth(0.5)
-    canvas.line(_MARGIN, height - 16 * mm, width - _MARGIN, height - 16 * mm)
-    canvas.line(_MARGIN, 14 * mm, width - _MARGIN, 14 * mm)
+    canvas.line(MARGIN, height - 16 * mm, width - MARGIN, height - 16 * mm)
+    canvas.line(MARGIN, 14 * mm, width - MARGIN, 14 * mm)
     canvas.setFont(MONO, 6)
-    canvas.drawString(_MARGIN, 10 * mm, words("foot", hash=heading.event_sha256))
+    canvas.drawString(MARGIN, 10 * mm, words("foot", hash=heading.event_sha256))
     canvas.setFont(PLAIN, 8)
-    canvas.drawRightString(width - _MARGIN, 10 * mm, words("page", page=page, pages=pages))
+    canvas.drawRightString(width - MARGIN, 10 * mm, words("page", page=page, pages=pages))
 
 
 def _style(

@@ -72,6 +72,14 @@ ENGLISH = {
     "burst": "burst", "continuous": "continuous",
     "link_more": "and {n} more in the evidence archive",
     "spread": "± {s} s", "spread_small": "within {s} s", "unfiltered": "none, sampled at {rate} Hz",
+    "certificate": "Certificate of installation", "cert_foot": "Certificate, SHA-256 {hash}",
+    "cert_summary": "The mounting of this box in this vehicle is known.",
+    "cert_summary_sigma": "The mounting of this box in this vehicle is known to ± {sigma}° (1 sigma, about the axis that is known worst).",
+    "cert_installed": "Installed", "cert_installer": "Installer", "cert_how": "How", "cert_mounting": "How the box sits",
+    "cert_first": "by driving", "cert_moved": "by driving, after the box was moved", "cert_swapped": "by driving, in its new vehicle", "cert_manual": "by hand",
+    "cert_axis": "Axis", "cert_angle": "Turn of the box", "cert_sigma": "1 sigma about V", "cert_cone": "95 % cone of A", "cert_matrix": "R_va, row of V",
+    "cert_note": "V: the vehicle's axes, x forward, y right, z down. A: the box's axes. R_va turns what the box measures into the vehicle's axes: Ry(θ) Rz(φ) Rx(ψ). With 95 % probability each axis of the box points into its cone, given here where it is widest.",
+    "cert_data_at": "Data until", "cert_hash": "SHA-256 of the certificate", "cert_verify": "To check: open the address, signed in. The service makes the certificate again from what it stores and compares the hash.",
 }
 
 ITALIAN = {
@@ -137,6 +145,14 @@ ITALIAN = {
     "burst": "raffica", "continuous": "continuo",
     "link_more": "e altri {n} nell'archivio delle prove",
     "spread": "± {s} s", "spread_small": "a meno di {s} s", "unfiltered": "nessuno, campionato a {rate} Hz",
+    "certificate": "Certificato d'installazione", "cert_foot": "Certificato, SHA-256 {hash}",
+    "cert_summary": "Il montaggio di questa scatola in questo veicolo è noto.",
+    "cert_summary_sigma": "Il montaggio di questa scatola in questo veicolo è noto entro ± {sigma}° (1 sigma, attorno all'asse meno noto).",
+    "cert_installed": "Installata", "cert_installer": "Installatore", "cert_how": "Modo", "cert_mounting": "Come sta la scatola",
+    "cert_first": "guidando", "cert_moved": "guidando, dopo uno spostamento", "cert_swapped": "guidando, nel nuovo veicolo", "cert_manual": "a mano",
+    "cert_axis": "Asse", "cert_angle": "Rotazione della scatola", "cert_sigma": "1 sigma attorno a V", "cert_cone": "Cono 95 % di A", "cert_matrix": "R_va, riga di V",
+    "cert_note": "V: assi del veicolo, x avanti, y a destra, z in basso. A: assi della scatola. R_va porta negli assi del veicolo ciò che la scatola misura: Ry(θ) Rz(φ) Rx(ψ). Con probabilità del 95 % ogni asse della scatola punta dentro il proprio cono, qui dato dov'è più largo.",
+    "cert_data_at": "Dati fino a", "cert_hash": "SHA-256 del certificato", "cert_verify": "Per verificare: aprire l'indirizzo dopo l'accesso. Il servizio rifà il certificato da ciò che conserva e confronta l'hash.",
 }
 
 # What a remark means; the numbers of its English sentence stand in the table of what the numbers rest on.

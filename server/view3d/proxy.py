@@ -80,11 +80,11 @@ async def forward(request: Request, path: str) -> Response:
         async with httpx.AsyncClient(trust_env=False, timeout=30.0) as client:
             with contextlib.suppress(httpx.TransportError):
                 headers = {"accept-encoding": request.headers.get("accept-encoding", "identity"), **forwarded(request)}
-                sent = {} if request.method == "GET" else {"content": await request.body()}
-                async with client.stream(request.method, f"{base}{path}", headers=headers, **sent) as answer:
-                    body = b"".join([part async for part in answer.aiter_raw()])
+                body = None if request.method == "GET" else await request.body()
+                async with client.stream(request.method, f"{base}{path}", headers=headers, content=body) as answer:
+                    content = b"".join([part async for part in answer.aiter_raw()])
                 kept = {name: answer.headers[name] for name in _PASSED_ON if name in answer.headers}
-                return Response(body, answer.status_code, kept)
+                return Response(content, answer.status_code, kept)
     return PlainTextResponse(_DOWN, 503, {"Retry-After": "2"})
 
 

@@ -163,7 +163,8 @@ class MountingScene:
                 head_length=0.09,
             )
             scene.add_label(
-                f"/vehicle/mounting/box/{name}_label", f"{name} A" if self._bare else f"box {name}", position=1.08 * tip, anchor="center-center",
+                f"/vehicle/mounting/box/{name}_label", f"{name} A" if self._bare else f"box {name}",
+                position=1.08 * tip, anchor="center-center",
                 font_screen_scale=0.9,
             )  # fmt: skip
             if view.sigma is not None:

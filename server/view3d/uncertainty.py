@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+
 import numpy as np
 
 from nav_core.rotation import skew
@@ -40,6 +42,12 @@ def axis_ellipse(axis: Floats, sigma: Floats) -> tuple[Floats, Floats]:
     order = [index for index in range(3) if index != int(np.argmax(np.abs(axis @ vectors)))]
     half_angles = SIGMAS_95 * np.sqrt(np.maximum(values[order], 0.0))
     return np.minimum(half_angles, _WIDEST), vectors[:, order].T
+
+
+def widest_deg(R_va: Sequence[Sequence[float]], sigma_deg: Mapping[str, float]) -> list[float]:
+    """Half the opening of the 95 % cone of the box's x, y, z axis where it is widest, degrees."""
+    sigma = np.radians([sigma_deg[axis] for axis in "xyz"])
+    return [float(np.degrees(axis_ellipse(axis, sigma)[0][1])) for axis in np.array(R_va).T]
 
 
 def cone(axis: Floats, sigma: Floats, length: float, facets: int = 48) -> tuple[Floats, Integers]:

@@ -75,9 +75,9 @@ function refreshSoon(within = SETTLE_MS) {
   pending = setTimeout(refresh, at - performance.now());
 }
 
-/** Another address of the same page: its parts are swapped, and the address can be kept and sent. @param {string} address */
-export async function go(address) {
-  history.pushState(null, "", address);
+/** Another address of the same page: its parts are swapped, and the address can be kept and sent. @param {string} address @param {boolean} [back] whether the browser's button leads back here */
+export async function go(address, back = true) {
+  history[back ? "pushState" : "replaceState"](null, "", address);
   await refresh();
 }
 
