@@ -86,7 +86,7 @@ class LiveParts:
     def _draw_arrows(self, live: Live, vehicle_class: str) -> None:
         body = BODIES.get(vehicle_class, BODIES["car"])
         # Beside the box, or the V-frame's own z would hide them.
-        place = (body.box[0] - 1.1 * body.box_scale, 0.0, body.box[2])
+        place = (body.box[0] - 1.5 * body.box_scale, 0.0, body.box[2])
         self._server.scene.add_frame("/vehicle/live/arrows", show_axes=False, position=place)
         self._arrow("g", np.array([0.0, 0.0, STANDARD_GRAVITY]), GRAVITY)
         if live.f_v is not None:

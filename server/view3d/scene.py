@@ -27,6 +27,7 @@ _METAL, _GLASS, _RUBBER, _LINE = (96, 112, 130), (120, 140, 160), (62, 68, 76), 
 _BOX, _REFERENCE, _GHOST = (240, 140, 10), (150, 40, 200), (140, 146, 154)
 
 _NARROW_PX = 720
+_NO_PANEL = '<style>.mantine-Paper-root:has(.scatola-bare){display:none}</style><i class="scatola-bare"></i>'
 
 # The box is drawn larger than it is, or it would be a dot in the car.
 _BOX_SIZE = (0.60, 0.40, 0.20)
@@ -53,7 +54,8 @@ class MountingScene:
         self._shown: MountingView | None = None
         server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="medium")
         server.scene.configure_default_lights(enabled=False)
-        self._panel = None if bare else server.gui.add_html("")
+        # A bare scene is a picture: its panel would show viser's own controls, the ticket among them.
+        self._panel = server.gui.add_html(_NO_PANEL if bare else "")
         server.scene.add_grid(
             "/ground", 16.0, 16.0, cell_size=1.0, section_size=4.0, cell_color=_LINE, section_color=_LINE,
             cell_thickness=0.5, section_thickness=0.8, fade_distance=18.0, fade_strength=2.0, fade_from="origin",
@@ -70,7 +72,7 @@ class MountingScene:
                 self._draw_vehicle(BODIES.get(view.vehicle_class, BODIES["car"]))
             self._draw_box(view)
             self._server.gui.set_panel_label(view.title if self._bare else headline(view))
-            if self._panel is not None:
+            if not self._bare:
                 self._panel.content = panel_html(view)
         self._server.flush()
         self._shown = view
@@ -134,7 +136,10 @@ class MountingScene:
                 "/vehicle/mounting/reference/outline", edges.astype(np.float32), _REFERENCE, thickness=0.012
             )
             scene.add_label(
-                "/vehicle/mounting/reference/label", "reference", position=edges[0, 0], anchor="center-right"
+                "/vehicle/mounting/reference/label",
+                "ref" if self._bare else "reference",
+                position=edges[0, 0],
+                anchor="center-right",
             )
         if view.before is not None:
             draw_before(scene, "/vehicle/mounting/before", np.array(view.before), size)

@@ -7,14 +7,19 @@ security policy or logged an error.
 from __future__ import annotations
 
 import datetime as dt
+import logging
 import os
 import shutil
+import socket
+import threading
 from collections.abc import Generator
 from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import urlsplit
 
 import pytest
+import rich
+import uvicorn
 from fastapi import FastAPI
 from playwright.sync_api import Browser, Page, sync_playwright
 from playwright.sync_api import Error as PlaywrightError
@@ -22,6 +27,7 @@ from playwright.sync_api import Error as PlaywrightError
 from server.accounts.service import ensure_organisation
 from server.app import create_app
 from server.database import Database
+from server.view3d.viewer import create_viewer
 from tests.browser.seeding import seed_fleet, urban_drive
 
 ARTIFACTS = Path(__file__).resolve().parents[2] / "artifacts"
@@ -91,6 +97,27 @@ def site(settings, database, serve, recording) -> Site:
         organisation_id = ensure_organisation(session, now=now).id
         vehicles = seed_fleet(session, app.state.store, organisation_id, recording, now=now)
     return Site(serve(app), app, database, organisation_id, vehicles)
+
+
+@pytest.fixture
+def viewer(site, settings) -> Generator[None]:
+    """A viewer behind the site, as `scatola serve` runs it."""
+    rich.reconfigure(quiet=True)
+    logging.getLogger("websockets").setLevel(logging.CRITICAL)
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    config = uvicorn.Config(
+        create_viewer(settings), host="127.0.0.1", port=port, log_config=None, timeout_graceful_shutdown=2
+    )
+    server = uvicorn.Server(config)
+    thread = threading.Thread(target=server.run, daemon=True)
+    thread.start()
+    site.app.state.viewer_url = f"http://127.0.0.1:{port}"
+    yield
+    server.should_exit = True
+    thread.join(10.0)
+    rich.reconfigure(quiet=False)
 
 
 class Watched:

@@ -1,81 +1,16 @@
 from __future__ import annotations
 
 import datetime as dt
-import io
-import logging
 import math
-import socket
-import threading
-import time
-from collections.abc import Callable, Generator
 
-import numpy as np
 import pytest
-import rich
-import uvicorn
-from PIL import Image
-from playwright.sync_api import FrameLocator, Locator, expect
+from playwright.sync_api import expect
 from sqlalchemy import select
 
 from nav_core.rotation import thesis_to_matrix
 from server.live.changes import announce
 from server.models import Device, Installation
-from server.view3d.viewer import create_viewer
-
-# Software rendering on a busy machine: viser's page needs seconds to come up.
-PATIENCE_MS = 90_000
-# What viser's client says of its own libraries and of a machine without a graphics card.
-CHATTER = ("THREE.", "WebGL", "GL Driver")
-
-
-@pytest.fixture
-def viewer(site, settings) -> Generator[None]:
-    """A viewer behind the site, as `scatola serve` runs it."""
-    rich.reconfigure(quiet=True)
-    logging.getLogger("websockets").setLevel(logging.CRITICAL)
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
-    config = uvicorn.Config(
-        create_viewer(settings), host="127.0.0.1", port=port, log_config=None, timeout_graceful_shutdown=2
-    )
-    server = uvicorn.Server(config)
-    thread = threading.Thread(target=server.run, daemon=True)
-    thread.start()
-    site.app.state.viewer_url = f"http://127.0.0.1:{port}"
-    yield
-    server.should_exit = True
-    thread.join(10.0)
-    rich.reconfigure(quiet=False)
-
-
-def coloured(picture: bytes) -> dict[str, int]:
-    """How many pixels are clearly red, green, blue and orange."""
-    rgb = np.asarray(Image.open(io.BytesIO(picture)).convert("RGB")).astype(int)
-    r, g, b = rgb[..., 0], rgb[..., 1], rgb[..., 2]
-    return {
-        "red": int(((r > g + 60) & (np.abs(g - b) < 45)).sum()),
-        "green": int(((g > r + 40) & (g > b + 15)).sum()),
-        "blue": int(((b > r + 60) & (b > g + 25)).sum()),
-        "orange": int(((r > g + 40) & (g > b + 35)).sum()),
-    }
-
-
-def wait_coloured(scene: Locator, enough: Callable[[dict[str, int]], bool]) -> dict[str, int]:
-    """Colours of a scene once there is enough of them: a picture takes a frame, so looking again is the wait."""
-    until = time.monotonic() + PATIENCE_MS / 1000.0
-    while True:
-        drawn = coloured(scene.screenshot(timeout=PATIENCE_MS))
-        if enough(drawn) or time.monotonic() > until:
-            assert enough(drawn), drawn
-            return drawn
-
-
-def dismiss_notice(frame: FrameLocator) -> None:
-    """Close viser's notice about software rendering: it covers the scene, and its stripe is orange."""
-    notice = frame.locator(".mantine-Notification-closeButton").first
-    notice.click(timeout=PATIENCE_MS)
-    expect(notice).to_be_hidden(timeout=PATIENCE_MS)
+from tests.browser.scenes import CHATTER, PATIENCE_MS, dismiss_notice, wait_coloured
 
 
 @pytest.mark.usefixtures("viewer")
