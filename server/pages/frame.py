@@ -53,8 +53,11 @@ MEASURES: dict[Units, Measures] = {
 
 
 def sections(caller: Caller) -> list[Section]:
-    """The sections that the caller may see."""
-    return [section for section in SECTIONS if caller.may(section.permission)]
+    """The sections that the caller may see; who installs and does not manage has the assistant first."""
+    seen = [section for section in SECTIONS if caller.may(section.permission)]
+    if caller.may("install") and not caller.may("fleet.write"):
+        seen.sort(key=lambda section: section.key != "install")
+    return seen
 
 
 def preferences_of(connection: HTTPConnection) -> Preferences:

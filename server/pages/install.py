@@ -17,6 +17,7 @@ from server.pages.words import LIVE_WITHIN, Standing, reasons, standing
 from server.view3d.axonometry import Drawing, drawing
 
 SHOWN = 20
+MINUS = "\N{MINUS SIGN}"
 _ID_LETTERS = 6
 
 
@@ -149,7 +150,7 @@ def choices(level: Level, vehicle_class: str) -> list[Choice]:
     found: list[Choice] = []
     for number, R_va in enumerate(level.choices):
         axis = int(abs(R_va[0]).argmax())
-        found.append(Choice(number, drawing(vehicle_class, R_va), f"{'+' if R_va[0, axis] > 0 else '-'}{'xyz'[axis]}"))
+        found.append(Choice(number, drawing(vehicle_class, R_va), f"{'+' if R_va[0, axis] > 0 else MINUS}{'xyz'[axis]}"))
     return found
 
 

@@ -24,7 +24,7 @@ R_WORLD_V = np.diag([1.0, -1.0, -1.0])
 AXIS_COLOURS = ((205, 24, 30), (10, 140, 60), (20, 80, 210))
 _STATE_COLOURS = {"good": "#1e9e54", "attention": "#c77700", "alarm": "#d63031", "unknown": "#7a828c"}
 _METAL, _GLASS, _RUBBER, _LINE = (96, 112, 130), (120, 140, 160), (62, 68, 76), (104, 116, 130)
-_BOX, _REFERENCE, _GHOST = (240, 140, 10), (150, 40, 200), (140, 146, 154)
+_BOX, _REFERENCE, _GHOST, _GHOST_EDGE = (240, 140, 10), (150, 40, 200), (140, 146, 154), (84, 92, 102)
 
 _NARROW_PX = 720
 _NO_PANEL = '<style>.mantine-Paper-root:has(.scatola-bare){display:none}</style><i class="scatola-bare"></i>'
@@ -226,8 +226,8 @@ def draw_body(scene: viser.SceneApi, root: str, body: Body) -> viser.FrameHandle
 def draw_before(scene: viser.SceneApi, root: str, R_va: Floats, size: Floats) -> None:
     """A box as it sat before it was moved: a pale shape with its axes as thin lines."""
     scene.add_frame(root, show_axes=False, wxyz=wxyz(R_va))
-    scene.add_box(f"{root}/case", _GHOST, size, opacity=0.3)
-    scene.add_line_segments(f"{root}/edges", box_edges(size).astype(np.float32), _GHOST, thickness=0.012)
+    scene.add_box(f"{root}/case", _GHOST, size, opacity=0.45)
+    scene.add_line_segments(f"{root}/edges", box_edges(size).astype(np.float32), _GHOST_EDGE, thickness=0.02)
     axes = np.stack([np.zeros((3, 3)), _AXIS_TO_BOX * float(size.max()) * np.eye(3)], axis=1)
     colours = np.repeat(np.array(AXIS_COLOURS, dtype=np.uint8)[:, None], 2, axis=1)
     scene.add_line_segments(f"{root}/axes", axes.astype(np.float32), colours, thickness=0.008)

@@ -13,12 +13,11 @@ from sqlalchemy import select
 
 from server.live.changes import announce
 from server.models import Batch, Boot, Device, Event, Installation
-from tests.browser.test_pages import css, wait_drawn
 from tests.browser.scenes import CHATTER, PATIENCE_MS, wait_coloured
+from tests.browser.test_pages import css, wait_drawn
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "server"))
 from crash_world import crash, store_event
-
 
 
 @pytest.fixture

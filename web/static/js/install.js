@@ -1,5 +1,6 @@
 // The installation assistant: scanning a code where the browser can, and a sign when the box is ready.
 
+import { Scene3d } from "./scene-3d.js";
 import { t } from "./words.js";
 
 /** @typedef {{detect(source: HTMLVideoElement): Promise<{rawValue: string}[]>}} Detector */
@@ -40,6 +41,16 @@ function done(code) {
   if (!(field instanceof HTMLInputElement)) return;
   field.value = code;
   field.form?.requestSubmit();
+}
+
+// One of the four orientations, to be looked at from all sides.
+const proposals = [...document.querySelectorAll("[data-proposal]")];
+for (const one of proposals) {
+  one.addEventListener("click", () => {
+    for (const other of proposals) other.setAttribute("aria-pressed", String(other === one));
+    const scene = document.querySelector("scene-3d");
+    if (scene instanceof Scene3d) scene.show({ proposal: Number(one.getAttribute("data-proposal")) });
+  });
 }
 
 // Off unless switched on: a car park at night, a meeting.  A sound needs the press that switches it on.
