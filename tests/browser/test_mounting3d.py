@@ -37,6 +37,7 @@ def moved_box(site) -> str:
         first = session.scalars(sa.select(Installation).where(Installation.device_id == device.id)).one()
         moved_at = now - dt.timedelta(minutes=10)
         first.ended_at = first.updated_at = moved_at
+        session.execute(sa.delete(MountingRevision).where(MountingRevision.installation_id == first.id))
         common = {"algorithm": "whole-drive/2", "input_sha256": "1" * 64}
         after = TURN @ MOUNT
         steps = [

@@ -463,6 +463,8 @@ BODIES = {
     "PUT /api/v1/events/{event_id}/hold": {"held": True, "reason": "taken over"},
     "POST /api/v1/vehicles/{vehicle_id}/erasure": {"reason": "taken over"},
     "POST /api/v1/users/{user_id}/erasure": {"reason": "taken over"},
+    "POST /install/{device_id}/vehicle": {"vehicle_id": "x" * 32},
+    "POST /install/{device_id}/level": {"sits": "z-0", "reason": "taken over"},
     "POST /events/{event_id}/review": {"verdict": "confirmed"},
     "POST /devices/{device_id}/installation": {
         "theta": "0",
@@ -534,6 +536,7 @@ def test_an_administrator_reaches_nothing_of_another_organisation(app, client, t
             "/api/v1/alert-rules",
             {"name": "x", "condition": {"kind": "crash"}, "channels": [theirs["channel"]]},
         ),
+        ("POST", f"/install/{mine['device']}/vehicle", {"vehicle_id": theirs["vehicle"]}),
     ):
         assert client.request(method, path, json=body).status_code == 422, path
     for subject in (f"vehicle:{theirs['vehicle']}", f"user:{theirs['user']}"):
@@ -598,6 +601,8 @@ def test_each_role_does_what_it_may_and_no_more(app, serve, tenants, clock):
                 ("POST", "/api/v1/events/{event_id}/view-ticket"),
                 ("POST", "/api/v1/jobs/failures/replay"),
                 ("POST", "/api/v1/reruns"),
+                ("POST", "/install/{device_id}/vehicle"),
+                ("POST", "/install/{device_id}/level"),
                 ("POST", "/events/{event_id}/review"),
                 ("POST", "/events/{event_id}/hold"),
                 ("POST", "/api/v1/alert-rules"),

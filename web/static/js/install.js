@@ -1,46 +1,39 @@
-// The installation assistant: scanning a code where the browser can, and a sign when the box is ready.
+// The installation assistant: scanning a code where the browser can, orientations in 3D, a sign when the box is ready.
 
 import { Scene3d } from "./scene-3d.js";
 import { t } from "./words.js";
 
 /** @typedef {{detect(source: HTMLVideoElement): Promise<{rawValue: string}[]>}} Detector */
 const Detectors = /** @type {{BarcodeDetector?: new (options: {formats: string[]}) => Detector}} */ (window).BarcodeDetector;
-const scan = /** @type {HTMLButtonElement | null} */ (document.getElementById("scan"));
+const scan = document.getElementById("scan");
 const video = document.querySelector("video");
+const field = document.getElementById("code");
 
-if (scan && video && Detectors && "mediaDevices" in navigator) {
+if (scan && video && field instanceof HTMLInputElement && Detectors && navigator.mediaDevices) {
   scan.hidden = false;
-  scan.addEventListener("click", () => void look(new Detectors({ formats: ["qr_code", "code_128", "data_matrix"] })));
-}
-
-/** @param {Detector} detector */
-async function look(detector) {
-  if (!scan || !video) return;
-  const words = document.getElementById("scan-words");
-  try {
-    video.srcObject = await navigator.mediaDevices.getUserMedia({ video: { facingMode: "environment" } });
-  } catch {
-    if (words) words.textContent = t("The camera is not allowed or not there: type the code.");
-    return;
-  }
-  scan.hidden = true;
-  video.hidden = false;
-  await video.play();
-  for (;;) {
-    const [found] = await detector.detect(video);
-    if (found) { done(found.rawValue); return; }
-    await new Promise((go) => setTimeout(go, 200));
-  }
-}
-
-/** @param {string} code */
-function done(code) {
-  const stream = video?.srcObject;
-  if (stream instanceof MediaStream) for (const track of stream.getTracks()) track.stop();
-  const field = document.getElementById("code");
-  if (!(field instanceof HTMLInputElement)) return;
-  field.value = code;
-  field.form?.requestSubmit();
+  scan.addEventListener("click", async () => {
+    try {
+      const stream = await navigator.mediaDevices.getUserMedia({ video: { facingMode: "environment" } });
+      video.srcObject = stream;
+      scan.hidden = true;
+      video.hidden = false;
+      await video.play();
+      const detector = new Detectors({ formats: ["qr_code", "code_128", "data_matrix"] });
+      for (;;) {
+        const [found] = await detector.detect(video);
+        if (found) {
+          for (const track of stream.getTracks()) track.stop();
+          field.value = found.rawValue;
+          field.form?.requestSubmit();
+          return;
+        }
+        await new Promise((go) => setTimeout(go, 200));
+      }
+    } catch {
+      const words = document.getElementById("scan-words");
+      if (words) words.textContent = t("The camera is not allowed or not there: type the code.");
+    }
+  });
 }
 
 // One of the four orientations, to be looked at from all sides.
@@ -54,26 +47,20 @@ for (const one of proposals) {
 }
 
 // Off unless switched on: a car park at night, a meeting.  A sound needs the press that switches it on.
-const signal = /** @type {HTMLInputElement | null} */ (document.getElementById("signal"));
+const signal = document.getElementById("signal");
 /** @type {AudioContext | undefined} */
 let audio;
+const ready = () => document.getElementById("progress")?.dataset.ready === "yes";
 let was = ready();
 
-function ready() {
-  return document.getElementById("progress")?.dataset.ready === "yes";
-}
-
-signal?.addEventListener("change", () => { if (signal.checked) audio ??= new AudioContext(); });
+signal?.addEventListener("change", () => { audio ??= new AudioContext(); });
 document.addEventListener("scatola:parts", () => {
-  const now = ready();
-  if (now && !was && signal?.checked) {
+  if (ready() && !was && audio && signal instanceof HTMLInputElement && signal.checked) {
     navigator.vibrate?.([200, 100, 200]);
-    if (audio) {
-      const tone = new OscillatorNode(audio, { frequency: 880 });
-      tone.connect(new GainNode(audio, { gain: 0.2 })).connect(audio.destination);
-      tone.start();
-      tone.stop(audio.currentTime + 0.5);
-    }
+    const tone = new OscillatorNode(audio, { frequency: 880 });
+    tone.connect(new GainNode(audio, { gain: 0.2 })).connect(audio.destination);
+    tone.start();
+    tone.stop(audio.currentTime + 0.5);
   }
-  was = now;
+  was = ready();
 });
