@@ -150,7 +150,9 @@ def choices(level: Level, vehicle_class: str) -> list[Choice]:
     found: list[Choice] = []
     for number, R_va in enumerate(level.choices):
         axis = int(abs(R_va[0]).argmax())
-        found.append(Choice(number, drawing(vehicle_class, R_va), f"{'+' if R_va[0, axis] > 0 else MINUS}{'xyz'[axis]}"))
+        found.append(
+            Choice(number, drawing(vehicle_class, R_va), f"{'+' if R_va[0, axis] > 0 else MINUS}{'xyz'[axis]}")
+        )
     return found
 
 

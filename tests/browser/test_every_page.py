@@ -9,7 +9,9 @@ from pathlib import Path
 
 import pytest
 from playwright.sync_api import expect
+from sqlalchemy import select
 
+from server.models import Device
 from tests.browser.test_pages import CONTRAST
 
 AXE = Path(__file__).resolve().parents[2] / "node_modules" / "axe-core" / "axe.min.js"
@@ -27,6 +29,13 @@ PATHS = {
     "vehicle": "/vehicles/{Fiat Panda}",
     "vehicle-moved": "/vehicles/{Iveco Daily}",
     "vehicle-new": "/vehicles/{Piaggio Porter}",
+    "mounting": "/vehicles/{Fiat Panda}/mounting",
+    "mounting-moved": "/vehicles/{Iveco Daily}/mounting?before=true",
+    "certificate": "/devices/[Fiat Panda]/certificate",
+    "install": "/install?code=nothing",
+    "install-box": "/install/[Fiat Panda]?q=a",
+    "install-drive": "/install/[Iveco Daily]/drive",
+    "install-level": "/install/[Fiat Panda]/level",
     "events": "/events?show=all",
     "users": "/users",
     "audit": "/audit",
@@ -35,11 +44,17 @@ PATHS = {
 }
 
 
+def box_in(site, vehicle_id: str) -> str:
+    """Id of the box in a vehicle."""
+    with site.database.reading() as session:
+        return session.scalars(select(Device.id).where(Device.vehicle_id == vehicle_id)).one()
+
+
 @pytest.mark.parametrize("name", PATHS)
 def test_axe_width_contrast_and_language(site, open_page, screenshot, name):
     path = PATHS[name]
     for vehicle, vehicle_id in site.vehicles.items():
-        path = path.replace(f"{{{vehicle}}}", vehicle_id)
+        path = path.replace(f"{{{vehicle}}}", vehicle_id).replace(f"[{vehicle}]", box_in(site, vehicle_id))
     inside = name not in ("login", "missing")
     page = open_page(path, signed_in=name != "login", expected=("404",), locale="it-IT")
     if inside:
