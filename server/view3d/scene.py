@@ -27,7 +27,6 @@ _METAL, _GLASS, _RUBBER, _LINE = (96, 112, 130), (120, 140, 160), (62, 68, 76), 
 _BOX, _REFERENCE, _GHOST, _GHOST_EDGE = (240, 140, 10), (150, 40, 200), (140, 146, 154), (84, 92, 102)
 
 _NARROW_PX = 720
-_NO_PANEL = '<style>.mantine-Paper-root:has(.scatola-bare){display:none}</style><i class="scatola-bare"></i>'
 
 # The box is drawn larger than it is, or it would be a dot in the car.
 _BOX_SIZE = (0.60, 0.40, 0.20)
@@ -54,8 +53,7 @@ class MountingScene:
         self._shown: MountingView | None = None
         server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="medium")
         server.scene.configure_default_lights(enabled=False)
-        # A bare scene is a picture: its panel would show viser's own controls, the ticket among them.
-        self._panel = server.gui.add_html(_NO_PANEL if bare else "")
+        self._panel = server.gui.add_html("")
         server.scene.add_grid(
             "/ground", 16.0, 16.0, cell_size=1.0, section_size=4.0, cell_color=_LINE, section_color=_LINE,
             cell_thickness=0.5, section_thickness=0.8, fade_distance=18.0, fade_strength=2.0, fade_from="origin",

@@ -60,6 +60,8 @@ class Viewer:
         self.replays = Replays(self._database)
         self._page = client_page()
         self._page_gzip = gzip.compress(self._page, 6)
+        self._bare = bare_page(self._page)
+        self._bare_gzip = gzip.compress(self._bare, 6)
         self._headers = {
             "Content-Security-Policy": content_security_policy(settings),
             "X-Content-Type-Options": "nosniff",
@@ -70,14 +72,21 @@ class Viewer:
         }
 
     async def page(self, request: Request) -> Response:
-        """The client that viser ships, for the holder of a ticket; the same for a view of one's own."""
+        """The client that viser ships, for the holder of a ticket."""
+        return await self._client(request, self._page, self._page_gzip)
+
+    async def own_page(self, request: Request) -> Response:
+        """The same as a mere picture, for a page that has words and controls of its own."""
+        return await self._client(request, self._bare, self._bare_gzip)
+
+    async def _client(self, request: Request, page: bytes, page_gzip: bytes) -> Response:
         secret, device_id = request.path_params["ticket"], request.path_params["device_id"]
         if not await run_in_threadpool(self._opens, secret, device_id):
             return PlainTextResponse(_EXPIRED, 403, self._headers)
         if "gzip" in request.headers.get("accept-encoding", ""):
             headers = {**self._headers, "Content-Encoding": "gzip"}
-            return Response(self._page_gzip, headers=headers, media_type="text/html")
-        return Response(self._page, headers=self._headers, media_type="text/html")
+            return Response(page_gzip, headers=headers, media_type="text/html")
+        return Response(page, headers=self._headers, media_type="text/html")
 
     async def socket(self, websocket: WebSocket) -> None:
         """The scene's socket: ticket and origin are checked, then bytes pass both ways."""
@@ -163,6 +172,12 @@ def client_page() -> bytes:
     return Path(str(distribution("viser").locate_file("viser/client/build/index.html"))).read_bytes()
 
 
+def bare_page(page: bytes) -> bytes:
+    """The client without its panel, which shows the socket's address and so the ticket, and without its notices."""
+    style = b"<style>.mantine-Paper-root,.mantine-Notifications-root{display:none!important}</style>"
+    return page.replace(b"</head>", style + b"</head>", 1)
+
+
 def content_security_policy(settings: Settings) -> str:
     """What viser's client needs and no more; it compiles WebAssembly and starts a worker from a blob."""
     framers = " ".join(("'self'", *settings.trusted_origins))
@@ -191,7 +206,7 @@ def create_viewer(
             Route("/healthz", viewer.health),
             Route(path + "/", viewer.page),
             Route(path + "/events/{event_id}.viser", viewer.recording),
-            Route(path + "/mounting/", viewer.page),
+            Route(path + "/mounting/", viewer.own_page),
             Route(path + "/mounting/state", viewer.state, methods=["GET", "PUT"]),
             WebSocketRoute(path + "/mounting", viewer.own_socket),
             # viser's client drops the slash at the end of the page's address to get the socket's.

@@ -29,9 +29,12 @@ from nav_core.rotation import error_between
 from server.accounts.service import ensure_organisation
 from server.database import Database
 from server.errors import NotFoundError, UnavailableError
+from server.formats.columns import Columns
 from server.live.changes import announce
-from server.models import Device, Installation, Vehicle, ViewTicket, new_id
+from server.models import Batch, Device, DeviceState, Installation, Vehicle, ViewTicket, new_id
+from server.store import open_store
 from server.view3d import bodywork, permission
+from server.view3d.live import dashes, north_east_down
 from server.view3d.pool import ScenePool, close_share
 from server.view3d.relay import same_origin
 from server.view3d.scene import R_WORLD_V, MountingScene, headline, panel_html
@@ -442,6 +445,94 @@ def test_page_and_socket_end_to_end_through_the_api(app, address, client, admin,
         assert status_of_refusal(direct, path) == 403
         assert status_of_refusal(address, path) == 403, "the gate in front refuses it too"
         assert client.get(path).status_code == 303
+
+
+def test_a_view_of_ones_own_walks_through_the_history_and_nobody_else_sees_it(
+    app, address, client, admin, settings, database, clock
+):
+    before = Rotation.from_rotvec([0.0, 0.0, 0.5]).as_matrix() @ R_VA
+    moved_at = NOW + dt.timedelta(hours=1)
+    with database.transaction() as session:
+        device = session.merge(add_device(database))
+        put_result(session, device, {**READY, "R_va": before.tolist()}, ended_at=moved_at)
+        put_result(session, device, READY, beginning="moved", began_at=moved_at)
+        session.flush()
+        first, now = (row.id for row in session.query(Installation).order_by(Installation.began_at))
+    own, other = (f"{ticket_for(admin, device)}mounting/" for _ in range(2))
+    port = free_port()
+    app.state.viewer_url = f"http://127.0.0.1:{port}"
+    with serving(create_viewer(settings, clock=clock), port):
+        picture = client.get(own)
+        assert picture.status_code == 200
+        assert b"<style>.mantine-Paper-root" in picture.content
+        assert client.get(f"{own}state").json()["onlookers"] == 0
+        assert client.put(f"{own}state", json={"step": first}).status_code == 404, "nobody has opened it yet"
+        with open_socket(address, own) as mine, open_socket(address, other) as theirs:
+            mine.recv(timeout=10)
+            theirs.recv(timeout=10)
+            told = client.get(f"{own}state").json()
+            assert (told["onlookers"], told["step"]) == (1, None)
+            assert np.array(told["R_va"]) == pytest.approx(R_VA)
+            assert {"box", "cones", "gravity", "down"} <= set(told["drawn"])
+            assert not {"before", "force", "t_frame"} & set(told["drawn"])
+            told = client.put(f"{own}state", json={"step": first}).json()
+            assert np.array(told["R_va"]) == pytest.approx(before)
+            assert np.array(client.get(f"{other}state").json()["R_va"]) == pytest.approx(R_VA)
+            assert "before" in client.put(f"{own}state", json={"step": now, "before": True}).json()["drawn"]
+            # A step that is gone shows how it stands; nonsense is refused; a stranger's ticket opens nothing.
+            assert np.array(client.put(f"{own}state", json={"step": "gone"}).json()["R_va"]) == pytest.approx(R_VA)
+            for nonsense in ({"proposal": 4}, {"camera": 1}, []):
+                assert client.put(f"{own}state", json=nonsense).status_code == 422, nonsense
+            secret = own.split("/")[2]
+            wrong = own.replace(secret, "A" * len(secret))
+            for path in (wrong, f"{wrong}state"):
+                assert httpx.get(app.state.viewer_url + path).status_code == 403
+            assert status_of_refusal(app.state.viewer_url, wrong) == 403
+        wait_until(lambda: client.get(f"{own}state").json()["onlookers"] == 0)
+    assert client.get(f"{own}state").status_code == 503
+
+
+@pytest.mark.both_databases
+def test_arrows_follow_each_upload_and_north_the_course(database, settings):
+    device = add_device(database, result=READY)
+    store = open_store(settings)
+    with pool_of(database, store=store, poll_s=60.0) as pool:
+        pool.enter(device.id, "me")
+        assert pool.state(device.id, "me")["f_v_mps2"] is None
+        f_a = zip(("fx", "fy", "fz"), R_VA.T @ [1.0, 0.0, -9.8], strict=True)
+        columns = Columns({"t": np.arange(0.0, 2.0, 0.1), **{name: np.full(20, value) for name, value in f_a}})
+        store.put("k", columns.to_parquet())
+        with database.transaction() as session:
+            session.add(DeviceState(device_id=device.id, updated_at=NOW, course_rad=0.5, health={}))
+            session.add(
+                Batch(
+                    organisation_id=device.organisation_id, device_id=device.id, stream="continuous", boot="b",
+                    sequence=0, media_type="x", body_sha256="", column_sha256="", blob_key="k", stored_bytes=1,
+                    rows=20, t_first_s=0.0, t_last_s=1.9, received_at=NOW, chain_index=0, chain_sha256="",
+                )
+            )  # fmt: skip
+            announce(session, "batch", at=NOW, organisation_id=device.organisation_id, device_id=device.id)
+        pool.refresh()
+        told = pool.state(device.id, "me")
+        assert told["f_v_mps2"] == pytest.approx([1.0, 0.0, -9.8], abs=0.01)
+        assert {"force", "t_frame"} <= set(told["drawn"])
+
+
+@given(course=st.floats(-7.0, 7.0))
+def test_north_east_down_in_the_vehicle(course):
+    north, east, down = north_east_down(course)
+    assert np.cross(north, east) == pytest.approx(down)
+    # Heading north, north is ahead; heading east, it is to the left.
+    assert north_east_down(0.0)[0] == pytest.approx([1, 0, 0])
+    assert north_east_down(np.pi / 2)[0] == pytest.approx([0, -1, 0])
+    assert np.array([1.0, 0.0, 0.0]) == pytest.approx(np.cos(course) * north + np.sin(course) * east)
+
+
+def test_dashes_reach_from_the_origin_to_the_tip():
+    lines = dashes(np.array([0.0, 2.0, 0.0]))
+    assert lines[0, 0] == pytest.approx([0, 0, 0])
+    assert lines[-1, 1] == pytest.approx([0, 2, 0])
+    assert (np.linalg.norm(lines[:, 1] - lines[:, 0], axis=1) > 0).all()
 
 
 def test_tickets_need_credentials_and_a_device_of_theirs(client, admin, database):

@@ -41,9 +41,10 @@ export class Scene3d extends HTMLElement {
       if (!answer.ok) throw new Error(`no ticket: ${answer.status}`);
       /** @type {{url: string}} */
       const { url } = await answer.json();
-      this.#base = this.hasAttribute("own") ? `${url}mounting/` : url;
+      const own = this.hasAttribute("own");
+      this.#base = own ? `${url}mounting/` : url;
       // Asked first, because a frame does not tell its page that it got an error.
-      const view = await fetch(this.#base);
+      const view = await fetch(own ? `${this.#base}state` : url);
       void view.body?.cancel();
       if (!view.ok) throw new Error(`no view: ${view.status}`);
       const recording = event ? `${url}events/${event}.viser` : "";
@@ -52,7 +53,7 @@ export class Scene3d extends HTMLElement {
       frame.title = event ? t("Replay of the event, in three dimensions") : t("Box in the vehicle, in three dimensions");
       frame.src = `${this.#base}?hideViserLogo${dark ? "&darkMode" : ""}${recording && `&playbackPath=${encodeURIComponent(recording)}`}`;
       this.replaceChildren(frame);
-      if (this.hasAttribute("own")) void this.#lookAfter(frame);
+      if (own) void this.#lookAfter(frame);
     } catch {
       this.#lost(t("The 3D view is not running"));
     }
