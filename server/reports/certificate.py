@@ -11,7 +11,7 @@ from reportlab.graphics.barcode.qr import QrCodeWidget
 from reportlab.graphics.shapes import Drawing
 from reportlab.lib.pagesizes import A4
 from reportlab.lib.units import mm
-from reportlab.platypus import BaseDocTemplate, Flowable, Frame, PageTemplate, Paragraph, Spacer, Table
+from reportlab.platypus import Flowable, Frame, PageTemplate, Paragraph, Spacer, Table
 
 from server.installations.certificate import Certificate
 from server.reports.paper import (
@@ -20,16 +20,13 @@ from server.reports.paper import (
     AXIS_Z,
     BOLD,
     INK,
-    LINE,
-    MONO,
     MUTED,
-    PLAIN,
     HexColor,
     load_fonts,
     polyline,
 )
 from server.reports.parts import CELL, HASH, pairs, table
-from server.reports.pdf import BODY, BOTTOM, MARGIN, SECTION, SMALL, TITLE, TOP, WIDTH
+from server.reports.pdf import BODY, BOTTOM, MARGIN, SECTION, SMALL, TITLE, TOP, WIDTH, blank, letterhead
 from server.reports.words import Language, Words
 from server.view3d.axonometry import drawing
 
@@ -46,33 +43,11 @@ def certificate_pdf(
     load_fonts()
     words = Words(language)
     sink = io.BytesIO()
-    template = BaseDocTemplate(
-        sink,
-        pagesize=A4,
-        leftMargin=MARGIN,
-        rightMargin=MARGIN,
-        topMargin=TOP,
-        bottomMargin=BOTTOM,
-        title=f"{words('certificate')}: {certificate.device.name}",
-        author="Scatola",
-        subject=certificate.id,
-        lang=language,
-        invariant=1,
-    )
+    title = f"{words('certificate')}: {certificate.device.name}"
+    template = blank(sink, title=title, subject=certificate.id, language=language)
 
     def head_and_foot(canvas: Any, _template: Any) -> None:
-        width, height = A4
-        canvas.setFillColor(MUTED)
-        canvas.setFont(BOLD, 8)
-        canvas.drawString(MARGIN, height - 14 * mm, "SCATOLA")
-        canvas.setFont(PLAIN, 8)
-        canvas.drawString(MARGIN + 46, height - 14 * mm, words("certificate"))
-        canvas.setStrokeColor(LINE)
-        canvas.setLineWidth(0.5)
-        canvas.line(MARGIN, height - 16 * mm, width - MARGIN, height - 16 * mm)
-        canvas.line(MARGIN, 14 * mm, width - MARGIN, 14 * mm)
-        canvas.setFont(MONO, 6)
-        canvas.drawString(MARGIN, 10 * mm, words("cert_foot", hash=certificate.sha256))
+        letterhead(canvas, words("certificate"), words("cert_foot", hash=certificate.sha256))
 
     frame = Frame(MARGIN, BOTTOM, WIDTH, A4[1] - TOP - BOTTOM, 0, 0, 0, 0, id="page")
     template.addPageTemplates([PageTemplate(id="page", frames=[frame], onPage=head_and_foot)])

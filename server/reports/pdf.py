@@ -65,19 +65,7 @@ def report_pdf(
     words = Words(language)
     sink = io.BytesIO()
     kind = words(document["event"]["kind"])
-    template = BaseDocTemplate(
-        sink,
-        pagesize=A4,
-        leftMargin=MARGIN,
-        rightMargin=MARGIN,
-        topMargin=TOP,
-        bottomMargin=BOTTOM,
-        title=f"{words('title')}: {kind}",
-        author="Scatola",
-        subject=heading.event_id,
-        lang=language,
-        invariant=1,
-    )
+    template = blank(sink, title=f"{words('title')}: {kind}", subject=heading.event_id, language=language)
     frame = Frame(MARGIN, BOTTOM, WIDTH, A4[1] - TOP - BOTTOM, 0, 0, 0, 0, id="page")
     template.addPageTemplates([PageTemplate(id="page", frames=[frame])])
 
@@ -104,25 +92,44 @@ def report_pdf(
 
 
 def _head_and_foot(canvas: Any, words: Words, heading: Heading, kind: str, page: int, pages: int) -> None:
+    letterhead(canvas, f"{words('title')} · {kind}", words("foot", hash=heading.event_sha256))
+    named = f"{words('event')} {heading.event_id} · {words('revision')} {heading.revision}"
+    canvas.setFont(PLAIN, 8)
+    canvas.drawRightString(A4[0] - MARGIN, A4[1] - 14 * mm, named)
+    canvas.drawRightString(A4[0] - MARGIN, 10 * mm, words("page", page=page, pages=pages))
+
+
+def blank(sink: io.BytesIO, *, title: str, subject: str, language: Language) -> BaseDocTemplate:
+    """A document of our paper, without pages; it says nothing of when it was made."""
+    return BaseDocTemplate(
+        sink,
+        pagesize=A4,
+        leftMargin=MARGIN,
+        rightMargin=MARGIN,
+        topMargin=TOP,
+        bottomMargin=BOTTOM,
+        title=title,
+        author="Scatola",
+        subject=subject,
+        lang=language,
+        invariant=1,
+    )
+
+
+def letterhead(canvas: Any, name: str, foot: str) -> None:
+    """What stands on every page: whose paper it is, what it is, and the hash it goes by."""
     width, height = A4
     canvas.setFillColor(MUTED)
     canvas.setFont(BOLD, 8)
     canvas.drawString(MARGIN, height - 14 * mm, "SCATOLA")
     canvas.setFont(PLAIN, 8)
-    canvas.drawString(MARGIN + 46, height - 14 * mm, f"{words('title')} · {kind}")
-    canvas.drawRightString(
-        width - MARGIN,
-        height - 14 * mm,
-        f"{words('event')} {heading.event_id} · {words('revision')} {heading.revision}",
-    )
+    canvas.drawString(MARGIN + 46, height - 14 * mm, name)
     canvas.setStrokeColor(LINE)
     canvas.setLineWidth(0.5)
     canvas.line(MARGIN, height - 16 * mm, width - MARGIN, height - 16 * mm)
     canvas.line(MARGIN, 14 * mm, width - MARGIN, 14 * mm)
     canvas.setFont(MONO, 6)
-    canvas.drawString(MARGIN, 10 * mm, words("foot", hash=heading.event_sha256))
-    canvas.setFont(PLAIN, 8)
-    canvas.drawRightString(width - MARGIN, 10 * mm, words("page", page=page, pages=pages))
+    canvas.drawString(MARGIN, 10 * mm, foot)
 
 
 def _style(
