@@ -34,6 +34,11 @@ _AXES = {"x": AXIS_X, "y": AXIS_Y, "z": AXIS_Z}
 _FACES = {"face0": HexColor("#f6b24a"), "face1": HexColor("#e0900f"), "face2": HexColor("#b97708")}
 _ANGLES = (("x", "psi", "ψ"), ("y", "theta", "θ"), ("z", "phi", "φ"))
 _QR = 30 * mm
+_BESIDE = [
+    ("VALIGN", (0, 0), (-1, -1), "MIDDLE"),
+    ("LEFTPADDING", (0, 0), (0, -1), 0),
+    ("RIGHTPADDING", (-1, 0), (-1, -1), 0),
+]
 
 
 def certificate_pdf(
@@ -75,6 +80,7 @@ def _story(certificate: Certificate, cones_deg: list[float] | None, words: Words
     beside = Table(
         [[Picture(vehicle_class, mounting["R_va"], 0.42 * WIDTH, 52 * mm), pairs(subject, 0.56 * WIDTH)]],
         colWidths=[0.43 * WIDTH, 0.57 * WIDTH],
+        style=_BESIDE,
     )
     link = html.escape(address)
     verify = [Paragraph(words("cert_verify"), BODY), Paragraph(f'<link href="{link}">{link}</link>', HASH)]
@@ -98,7 +104,7 @@ def _story(certificate: Certificate, cones_deg: list[float] | None, words: Words
             WIDTH,
         ),
         Spacer(1, 8),
-        Table([[_qr(address), verify]], colWidths=[_QR + 8, WIDTH - _QR - 8]),
+        Table([[_qr(address), verify]], colWidths=[_QR + 8, WIDTH - _QR - 8], style=_BESIDE),
     ]
 
 
