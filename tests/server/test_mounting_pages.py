@@ -114,7 +114,14 @@ def test_what_the_box_feels_over_http(box, clock):
 def test_a_box_is_found_by_code_name_and_number_in_its_own_organisation(browser, box, database, clock):
     code = box.admin.post(f"/api/v1/devices/{box.id}/claim-code").json()["code"]
     target = f"/install/{box.id}"
-    for typed in (code, code.lower().replace("-", " "), "sc-7", box.id, box.id[:8], f"https://x.test/claim?code={code}"):
+    for typed in (
+        code,
+        code.lower().replace("-", " "),
+        "sc-7",
+        box.id,
+        box.id[:8],
+        f"https://x.test/claim?code={code}",
+    ):
         answer = browser.get("/install", params={"code": typed})
         assert (answer.status_code, answer.headers.get("location")) == (303, target), typed
     lost = browser.get("/install", params={"code": "7777-7777-7777-7777"})
