@@ -43,7 +43,7 @@ function connect() {
       /** @type {Change} */
       const change = JSON.parse(event.data);
       document.dispatchEvent(new CustomEvent("scatola:change", { detail: { kind, ...change } }));
-      if (concerns(change)) refreshSoon(kind === "event" || kind === "alert" ? URGENT_MS : SETTLE_MS);
+      if (concerns(kind, change)) refreshSoon(kind === "event" || kind === "alert" ? URGENT_MS : SETTLE_MS);
     });
   }
   addEventListener("pagehide", () => source.close());
