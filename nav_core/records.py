@@ -181,7 +181,18 @@ class Gnss:
         return poor
 
     def rows(self, which: Flags | slice) -> Gnss:
-        """Some of the fixes."""
+        """Some of the fixes.
+
+        Parameters
+        ----------
+        which : ndarray of bool, shape (n,), or slice
+            Of the n fixes.
+
+        Returns
+        -------
+        Gnss
+            Those; what is not recorded stays so.
+        """
         known = {name: getattr(self, name) for name in Gnss.__dataclass_fields__ if getattr(self, name) is not None}
         return Gnss(**{name: values[which] for name, values in known.items()})
 

@@ -117,7 +117,18 @@ def case_of(drive: Drive, mounting: MountingEstimate) -> Case:
 
 
 def levelled(inertial: Inertial) -> Floats:
-    """Mounting of unknown heading that puts the usual specific force straight up, shape (3, 3)."""
+    """Mounting of unknown heading that puts the usual specific force straight up, shape (3, 3).
+
+    Parameters
+    ----------
+    inertial : Inertial
+        A-frame, at least one sample.
+
+    Returns
+    -------
+    ndarray, shape (3, 3)
+        ``R_va`` up to a turn about V z; without a force to speak of the box is taken to lie level.
+    """
     z = -usual_force(inertial.t, inertial.f)
     size = float(np.linalg.norm(z))
     z = z / size if size > 1.0 else np.array([0.0, 0.0, 1.0])
@@ -129,7 +140,20 @@ def levelled(inertial: Inertial) -> Floats:
 
 
 def between(drive: Drive, begin: float, end: float) -> Drive:
-    """The recording from a moment until before another, box clock, s."""
+    """The recording from a moment until before another, box clock, s.
+
+    Parameters
+    ----------
+    drive : Drive
+        One recording, A-frame.
+    begin, end : float
+        Box clock, s; `end` is not included.
+
+    Returns
+    -------
+    Drive
+        Inertial samples and fixes of ``begin <= t < end``, possibly none; the remarks of `drive`.
+    """
     inertial = drive.inertial
     rows = slice(*np.searchsorted(inertial.t, [begin, end]).tolist())
     w, m, temp = (None if values is None else values[rows] for values in (inertial.w, inertial.m, inertial.temp))

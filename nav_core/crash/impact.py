@@ -111,6 +111,11 @@ def impact_of(case: Case, window: Window, earlier: Impact | None = None) -> Impa
     earlier : Impact, optional
         A blow shortly before: gravity and bias are taken from before it, and of the fixes only those after it
         tell the speed.  Where the vehicle then points they do not tell, so they have no say in delta-V.
+
+    Returns
+    -------
+    Impact
+        V axes at time zero, held through the blow; delta-V with its distribution, m/s.
     """
     stream = case.stream
     t0 = float(stream.t[window.zero])
@@ -172,6 +177,22 @@ def speed_between(case: Case, earlier: Impact, steady: Gravity, t0: float) -> Be
     """Speed over ground just before a further blow: carried on through the one before it, and by fixes since.
 
     None when neither tells.  The course is not told: the vehicle may slide any way.
+
+    Parameters
+    ----------
+    case : Case
+        The recording.
+    earlier : Impact
+        The blow before.
+    steady : Gravity
+        Gravity and bias, V axes, m/s².
+    t0 : float
+        Time zero of the further blow, box clock, s.
+
+    Returns
+    -------
+    Before or None
+        Speed and 1 sigma, m/s; the mean of both, weighted by their variances, if both tell.  Course NaN.
     """
     first, told = earlier.blow, list[tuple[float, float, int]]()
     since = float(first.t[first.last])

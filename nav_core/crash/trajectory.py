@@ -44,7 +44,21 @@ STEERS = 0.08
 def trajectory_of(case: Case, blows: list[Impact], head: int) -> Trajectory | None:
     """Smoothed way around an event of one or more blows, its times from the one that has the headline.
 
-    None without fixes or with none that moves.
+    None with fewer than three fixes that have a place within `SPAN` of it.
+
+    Parameters
+    ----------
+    case : Case
+        The recording.
+    blows : list of Impact
+        Of the event, in order of time; at least one.
+    head : int
+        Index into `blows`; its time zero is the `t0` that times count from.
+
+    Returns
+    -------
+    Trajectory or None
+        Every 0.1 s and at each fix: s from `t0`, rad, m and m/s, with covariances; position in the T-frame.
     """
     gnss, first = case.gnss, blows[0]
     t0 = float(blows[head].blow.t[blows[head].blow.zero])
@@ -234,6 +248,24 @@ def driver_of(case: Case, first: Impact, t0: float, trajectory: Trajectory | Non
     """The last five seconds before the first blow; times are from `t0`, box clock, s.
 
     None of a recording that has not half a second of them, or of an unknown mounting.
+
+    Parameters
+    ----------
+    case : Case
+        The recording.
+    first : Impact
+        The first blow of the event.
+    t0 : float
+        Time zero of the event's headline blow, box clock, s.
+    trajectory : Trajectory or None
+        Around the event, times from `t0`; None leaves the speed NaN.
+    rest : Rest or None
+        Where the vehicle came to rest; None gives no stopping distance.
+
+    Returns
+    -------
+    Driver or None
+        Every half second: s from `t0`, m/s, m/s² along V x and y, rad/s.
     """
     stream, blow = case.stream, first.blow
     struck = float(blow.t[blow.zero])

@@ -49,7 +49,20 @@ def _free(stream: Stream, found: list[Finding], apart: float) -> Flags:
 
 
 def swipes(scene: Scene, found: list[Finding]) -> list[Finding]:
-    """Blows to the side below the trigger, of a moving vehicle."""
+    """Blows to the side below the trigger, of a moving vehicle.
+
+    Parameters
+    ----------
+    scene : Scene
+        A recording, V axes.
+    found : list of Finding
+        So far; nothing is found again close to them.
+
+    Returns
+    -------
+    list of Finding
+        Of kind ``crash``, with the remark ``below_trigger``.
+    """
     stream = scene.stream
     j = np.minimum(np.searchsorted(stream.t, stream.t + 0.1), stream.t.size - 1)
     sideways = (np.abs(stream.v[j, 1] - stream.v[:, 1]) >= SWIPE_CHANGE) & _free(stream, found, 1.0)
@@ -80,7 +93,22 @@ def _off_the_bend(stream: Stream, window: Window) -> float:
 
 
 def bumps(scene: Scene, violent: Floats, found: list[Finding]) -> list[Finding]:
-    """Bumps of a parked vehicle, below the trigger."""
+    """Bumps of a parked vehicle, below the trigger.
+
+    Parameters
+    ----------
+    scene : Scene
+        A recording, V axes.
+    violent : ndarray, shape (n,)
+        Horizontal change of velocity within the next 150 ms at each sample, m/s.
+    found : list of Finding
+        So far; nothing is found again close to them.
+
+    Returns
+    -------
+    list of Finding
+        Of kind ``parked_impact``, or ``handling`` where the box lies differently afterwards.
+    """
     stream = scene.stream
     out: list[Finding] = []
     loud = (violent >= PARKED_CHANGE) & _free(stream, found, 1.0)
@@ -146,7 +174,20 @@ def _bump(stream: Stream, window: Window) -> bool:
 
 
 def tilted(scene: Scene, found: list[Finding]) -> list[Finding]:
-    """Vehicles that came to lie on a side, and boxes that were turned while the vehicle stood, without any blow."""
+    """Vehicles that came to lie on a side, and boxes that were turned while the vehicle stood, without any blow.
+
+    Parameters
+    ----------
+    scene : Scene
+        A recording, V axes.
+    found : list of Finding
+        So far; a tilt within five seconds of one belongs to it.
+
+    Returns
+    -------
+    list of Finding
+        Of kind ``rollover`` or ``handling``; none in a recording shorter than 4 s.
+    """
     stream = scene.stream
     span = float(stream.t[-1] - stream.t[0])
     if span < 4.0:
@@ -183,7 +224,20 @@ def tilted(scene: Scene, found: list[Finding]) -> list[Finding]:
 
 
 def shocks(scene: Scene, found: list[Finding]) -> list[Finding]:
-    """Short hard shocks while moving: potholes, kerbs."""
+    """Short hard shocks while moving: potholes, kerbs.
+
+    Parameters
+    ----------
+    scene : Scene
+        A recording, V axes.
+    found : list of Finding
+        So far; nothing is found again close to them.
+
+    Returns
+    -------
+    list of Finding
+        Of kind ``road_shock``.
+    """
     stream = scene.stream
     off = np.linalg.norm(stream.f - stream.rest, axis=1)
     hard = (off >= SHOCK[scene.vehicle_class]) & _free(stream, found, 1.0)

@@ -39,7 +39,20 @@ class Gravity(NamedTuple):
 
 
 def pieces(t: Floats, f: Floats) -> Floats:
-    """Means of the force over half seconds, shape (k, 3); a recording shorter than that is one piece."""
+    """Means of the force over half seconds, shape (k, 3); a recording shorter than that is one piece.
+
+    Parameters
+    ----------
+    t : ndarray, shape (n,)
+        Box clock, s, increasing.
+    f : ndarray, shape (n, 3)
+        Specific force, any axes, m/s².
+
+    Returns
+    -------
+    ndarray, shape (k, 3)
+        m/s²; half seconds with less than half the samples of the fullest are left out.
+    """
     if t.size == 0:
         return np.zeros((0, 3))
     edges = np.flatnonzero(np.diff(np.floor((t - t[-1] - 1e-9) / PIECE), prepend=-np.inf))
@@ -49,12 +62,36 @@ def pieces(t: Floats, f: Floats) -> Floats:
 
 
 def is_plain(f: Floats) -> bool:
-    """Whether a mean force (3,) is what gravity alone would be."""
+    """Whether a mean force (3,) is what gravity alone would be.
+
+    Parameters
+    ----------
+    f : ndarray, shape (3,)
+        Specific force, any axes, m/s².
+
+    Returns
+    -------
+    bool
+        Whether its size is within `PLAIN` of standard gravity.
+    """
     return bool(abs(float(np.linalg.norm(f)) - STANDARD_GRAVITY) < PLAIN)
 
 
 def usual_force(t: Floats, f: Floats) -> Floats:
-    """Median force of the half seconds that show gravity alone, else of all samples, (3,), m/s²."""
+    """Median force of the half seconds that show gravity alone, else of all samples.
+
+    Parameters
+    ----------
+    t : ndarray, shape (n,)
+        Box clock, s, increasing.
+    f : ndarray, shape (n, 3)
+        Specific force, any axes, m/s²; at least one sample.
+
+    Returns
+    -------
+    ndarray, shape (3,)
+        In the axes of `f`, m/s².
+    """
     means = pieces(t, f)
     plain = np.abs(np.linalg.norm(means, axis=1) - STANDARD_GRAVITY) < PLAIN
     usual: Floats = np.median(means[plain] if plain.any() else f, axis=0)

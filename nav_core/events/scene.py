@@ -46,17 +46,50 @@ class Scene(NamedTuple):
     level: Floats
 
     def speed_before(self, t: float) -> float | None:
-        """Speed of the last fix before `t`, at most 5 s old, m/s."""
+        """Speed of the last fix before `t`, at most 5 s old, m/s.
+
+        Parameters
+        ----------
+        t : float
+            Box clock, s.
+
+        Returns
+        -------
+        float or None
+            m/s; None where there is no such fix.
+        """
         k = int(np.searchsorted(self.fix_t, t - 2.0 * self.lag_sigma)) - 1
         return float(self.fix_speed[k]) if k >= 0 and t - self.fix_t[k] < 5.0 else None
 
     def speed_after(self, t: float) -> float | None:
-        """Speed of the first fix well after `t`, at most 3 s later, m/s."""
+        """Speed of the first fix well after `t`, at most 3 s later, m/s.
+
+        Parameters
+        ----------
+        t : float
+            Box clock, s.
+
+        Returns
+        -------
+        float or None
+            m/s; None where there is no such fix.
+        """
         k = int(np.searchsorted(self.fix_t, t + 0.1 + 2.0 * self.lag_sigma))
         return float(self.fix_speed[k]) if k < self.fix_t.size and self.fix_t[k] - t < 3.0 else None
 
     def stands_before(self, t: float) -> bool:
-        """Whether the vehicle stood before `t`: by the fixes, else by a force that is quiet."""
+        """Whether the vehicle stood before `t`: by the fixes, else by a force that is quiet.
+
+        Parameters
+        ----------
+        t : float
+            Box clock, s.
+
+        Returns
+        -------
+        bool
+            False also where neither tells.
+        """
         speed, earlier = self.speed_before(t), self.speed_before(t - 2.0)
         if speed is not None:
             return speed < STANDS and (earlier is None or earlier < STANDS)
@@ -64,7 +97,18 @@ class Scene(NamedTuple):
         return scatter is not None and scatter < STILL and not self.brakes_before(t)
 
     def brakes_before(self, t: float) -> bool:
-        """Whether the force before `t` shows a vehicle that slows down, however smoothly."""
+        """Whether the force before `t` shows a vehicle that slows down, however smoothly.
+
+        Parameters
+        ----------
+        t : float
+            Box clock, s.
+
+        Returns
+        -------
+        bool
+            By the two seconds before; False without samples.
+        """
         means = [self.stream.mean(begin, begin + 0.45) for begin in (t - 2.0, t - 1.5, t - 1.0, t - 0.55)]
         seen = np.array([mean for mean in means if mean is not None])
         if seen.size == 0:
@@ -80,7 +124,26 @@ class Scene(NamedTuple):
 def scene_of(
     stream: Stream, gnss: Gnss | None, speed_lag: float, lag_sigma: float, vehicle_class: VehicleClass
 ) -> Scene:
-    """Scene of a recording."""
+    """Scene of a recording.
+
+    Parameters
+    ----------
+    stream : Stream
+        Specific force, V axes, m/s².
+    gnss : Gnss or None
+        None without fixes.
+    speed_lag : float
+        Of the receiver, s: a fix describes the speed so long before it came.
+    lag_sigma : float
+        1 sigma of it, s; more than 0.2 s counts as 0.2 s.
+    vehicle_class : VehicleClass
+        Sets the force of a road shock.
+
+    Returns
+    -------
+    Scene
+        V axes; times of fixes less the lag, s.
+    """
     none = np.zeros(0)
     fix_t, fix_speed = (none, none) if gnss is None else (gnss.t - speed_lag, gnss.speed)
     level = usual_force(stream.t, stream.f)
@@ -88,7 +151,20 @@ def scene_of(
 
 
 def scatter_of(stream: Stream, begin: float, end: float) -> float | None:
-    """Usual scatter of the force within fifths of a second, each axis, m/s²; None of less than a second."""
+    """Usual scatter of the force within fifths of a second, each axis, m/s²; None of less than a second.
+
+    Parameters
+    ----------
+    stream : Stream
+        Specific force, V axes, m/s².
+    begin, end : float
+        Box clock, s; `end` is not included.
+
+    Returns
+    -------
+    float or None
+        m/s².
+    """
     first, last = np.searchsorted(stream.t, [begin, end])
     if last - first < 8 or stream.t[last - 1] - stream.t[first] < 1.0:
         return None
@@ -103,6 +179,18 @@ def restless(stream: Stream, begin: float, end: float) -> float:
     """Scatter of the force about its mean, all axes, in the calmer half of a time, m/s²; 0 without samples.
 
     A box that is carried is never calm; a vehicle that was bumped a moment ago was calm before that, or is since.
+
+    Parameters
+    ----------
+    stream : Stream
+        Specific force, V axes, m/s².
+    begin, end : float
+        Box clock, s; `end` is not included.
+
+    Returns
+    -------
+    float
+        m/s².
     """
     first, middle, last = np.searchsorted(stream.t, [begin, 0.5 * (begin + end), end])
     halves = [stream.f[first:middle], stream.f[middle:last]]

@@ -23,13 +23,41 @@ LOOKS_AFTER = 0.25
 
 
 def core_of(stream: Stream, first: int, last: int) -> int:
-    """The sample in a run of triggers from which the next 20 ms change most."""
+    """The sample in a run of triggers from which the next 20 ms change most.
+
+    Parameters
+    ----------
+    stream : Stream
+        Specific force, V axes, m/s².
+    first, last : int
+        The run, indices into the stream, both included.
+
+    Returns
+    -------
+    int
+        Index into the stream.
+    """
     stop = int(np.searchsorted(stream.t, stream.t[last] + 0.15, side="right"))
     return first + int(np.argmax(change_within(stream.rows(slice(first, stop)), 0.020)))
 
 
 def window_at(scene: Scene, core: int, *, threshold: float = THRESHOLD) -> Window:
-    """Window of the event around a core, looked for within two seconds of it."""
+    """Window of the event around a core, looked for within two seconds of it.
+
+    Parameters
+    ----------
+    scene : Scene
+        A recording, V axes.
+    core : int
+        Index into the scene's stream.
+    threshold : float
+        Change of velocity within 20 ms that starts an event and at most ends it, m/s (49 CFR 563.5).
+
+    Returns
+    -------
+    Window
+        Indices into the scene's stream.
+    """
     stream = scene.stream
     begin, stop = np.searchsorted(stream.t, [stream.t[core] - 1.5, stream.t[core] + 2.0])
     part = slice(int(begin), int(stop))
@@ -39,7 +67,20 @@ def window_at(scene: Scene, core: int, *, threshold: float = THRESHOLD) -> Windo
 
 
 def peak_of(stream: Stream, window: Window) -> float:
-    """Largest force off its surroundings, m/s²."""
+    """Largest force off its surroundings, m/s².
+
+    Parameters
+    ----------
+    stream : Stream
+        Specific force, V axes, m/s².
+    window : Window
+        Samples of the event, indices into the stream.
+
+    Returns
+    -------
+    float
+        m/s².
+    """
     part = slice(window.zero, window.last + 1)
     return float(np.linalg.norm(stream.f[part] - stream.rest[window.zero], axis=1).max())
 
@@ -75,7 +116,22 @@ class Signs(NamedTuple):
 
 
 def signs_of(scene: Scene, window: Window, around: Around | None = None) -> Signs:
-    """Look at an event."""
+    """Look at an event.
+
+    Parameters
+    ----------
+    scene : Scene
+        A recording, V axes.
+    window : Window
+        Samples of the event, indices into the scene's stream.
+    around : Around, optional
+        Other blows of its event; None of a blow that stands alone.
+
+    Returns
+    -------
+    Signs
+        Changes and speeds, m/s, force afterwards, V axes, m/s², angle, rad.
+    """
     stream, (zero, end, last) = scene.stream, window
     t0, t_end = float(stream.t[zero]), float(stream.t[end])
     around = around or Around(t0, np.inf, alone=True)
@@ -148,5 +204,16 @@ def _fell(stream: Stream, t0: float, t_end: float) -> bool:
 
 
 def speed_seen(signs: Signs) -> float | None:
-    """By how much the fixes show the speed to have changed, m/s; None where they do not tell."""
+    """By how much the fixes show the speed to have changed, m/s; None where they do not tell.
+
+    Parameters
+    ----------
+    signs : Signs
+        Of an event.
+
+    Returns
+    -------
+    float or None
+        m/s, not negative.
+    """
     return None if signs.before is None or signs.after is None else abs(signs.after - signs.before)

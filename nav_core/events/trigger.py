@@ -81,7 +81,18 @@ class Stream(NamedTuple):
         return np.column_stack([np.interp(t, self.t, self.v[:, axis]) for axis in range(3)])
 
     def rows(self, part: slice) -> Stream:
-        """Some of the samples."""
+        """Some of the samples.
+
+        Parameters
+        ----------
+        part : slice
+            Of the n samples.
+
+        Returns
+        -------
+        Stream
+            Views of the same arrays; `rest` and `v` are not taken anew.
+        """
         return Stream(self.t[part], self.f[part], self.step[part], self.rest[part], self.v[part], self.calm[part])
 
     def mean(self, begin: float, end: float) -> Floats | None:

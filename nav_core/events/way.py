@@ -88,7 +88,20 @@ class Trajectory:
                 raise ShapeError(f"trajectory.{name}", getattr(self, name).shape, str(shape))
 
     def ellipse(self, k: int, chi2: float = 5.991) -> tuple[float, float, float]:
-        """Half axes, m, and direction of the long one, rad clockwise from north, of the 95 % ellipse at moment `k`."""
+        """Half axes and direction of the ellipse of the position at moment `k`.
+
+        Parameters
+        ----------
+        k : int
+            Index of the moment.
+        chi2 : float
+            Quantile of chi-square with two degrees of freedom; 5.991 is 95 %.
+
+        Returns
+        -------
+        tuple of float
+            Long and short half axis, m, and direction of the long one, rad clockwise from north.
+        """
         values, vectors = np.linalg.eigh(self.position_covariance[k])
         small, large = np.sqrt(chi2 * np.maximum(values, 0.0))
         return float(large), float(small), float(np.arctan2(vectors[1, 1], vectors[0, 1]))

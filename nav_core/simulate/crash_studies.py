@@ -109,6 +109,11 @@ def crash(seed: int, *, gyro: bool = False, yaw_rate: float = 0.0, fixes: bool =
         Largest change of turn rate by the blow, rad/s.
     fixes : bool
         False leaves out the receiver from a minute before the blow on, once the mounting is estimated.
+
+    Returns
+    -------
+    Outcome
+        The truth, and the event found within half a second of it, if any.
     """
     rng = np.random.default_rng((563, seed))
     full_scale = float(rng.choice([8.0, 11.0, 16.0]))
