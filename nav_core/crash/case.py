@@ -10,7 +10,7 @@ import numpy as np
 from nav_core.crash.clipping import Saturation, saturated
 from nav_core.crash.gps_change import Lags, lags_of, usable
 from nav_core.errors import TooLittleDataError
-from nav_core.events.level import usual_force
+from nav_core.events.level import PIECE, SHORT, usual_force
 from nav_core.events.trigger import Stream, stream_of
 from nav_core.records import Drive, Gnss, Inertial, MountingEstimate, Remark
 from nav_core.timebase import ClockFit, fit_clock
@@ -129,7 +129,7 @@ def levelled(inertial: Inertial) -> Floats:
     ndarray, shape (3, 3)
         ``R_va`` up to a turn about V z; without a force to speak of the box is taken to lie level.
     """
-    z = -usual_force(inertial.t, inertial.f)
+    z = -usual_force(inertial.t, inertial.f, (PIECE, SHORT))
     size = float(np.linalg.norm(z))
     z = z / size if size > 1.0 else np.array([0.0, 0.0, 1.0])
     x: Floats = np.eye(3)[int(np.argmin(np.abs(z)))]

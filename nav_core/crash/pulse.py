@@ -142,7 +142,7 @@ def blow_of(stream: Stream, window: Window, steady: Gravity, w_v: Floats | None,
         Specific force, V axes, m/s².
     window : Window
         Indices into `stream` of time zero, the end, and the end of integration.
-    steady : Steady
+    steady : Gravity
         Specific force just before, V axes, m/s²: taken off.
     w_v : ndarray, shape (m, 3) or None
         Angular rate at the samples of `stream`, rad/s, V axes.

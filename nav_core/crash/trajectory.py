@@ -75,7 +75,7 @@ def trajectory_of(case: Case, blows: list[Impact], head: int) -> Trajectory | No
     heading, heading_sigma = _heading(case, gnss, first, t)
     origin = float(gnss.lat[use][0]), float(gnss.lon[use][0])
     own, way = _reckoned(case, blows, t, heading)
-    z = _measured(gnss, use, at, t, origin, case)
+    z = _measured(gnss, use, t, origin, case, _torn(gnss.t[use], blows, case))
     x, P = _smoothed(t, struck, way, z, case)
     zero = int(np.searchsorted(t, t0))
     position = way[:, :2] + x[:, :2] - (way[zero, :2] + x[zero, :2])
@@ -162,8 +162,19 @@ class _Measured(NamedTuple):
     r: Floats
 
 
-def _measured(gnss: Gnss, use: Flags, at: Floats, t: Floats, origin: tuple[float, float], case: Case) -> _Measured:
+def _torn(t: Floats, blows: list[Impact], case: Case) -> Flags:
+    """Fixes, box clock, s, whose speed is of before a blow and whose course of after it, or may be: no velocity."""
+    lags = np.array([case.lags.speed, case.lags.course])
+    early, late = t - lags.max() - 2.0 * case.lags.sigma, t - lags.min() + 2.0 * case.lags.sigma
+    torn = np.zeros(t.size, dtype=np.bool_)
+    for blow in (each.blow for each in blows):
+        torn |= (early < blow.t[blow.end]) & (late > blow.t[blow.zero])
+    return torn
+
+
+def _measured(gnss: Gnss, use: Flags, t: Floats, origin: tuple[float, float], case: Case, torn: Flags) -> _Measured:
     """North, east and their rates by the fixes at the moments that they describe; NaN at the others."""
+    at = gnss.t - case.lags.speed
     meridian, normal = earth.radii(origin[0])
     k = np.searchsorted(t, at[use])
     z, r = np.full((t.size, 4), np.nan), np.ones((t.size, 4))
@@ -174,6 +185,7 @@ def _measured(gnss: Gnss, use: Flags, at: Floats, t: Floats, origin: tuple[float
     course = np.where(np.isfinite(course), course, 0.0)
     z[k, 2], z[k, 3] = speed * np.cos(course), speed * np.sin(course)
     z[k[slow], 2] = z[k[slow], 3] = 0.0
+    z[k[torn], 2] = z[k[torn], 3] = np.nan
     # Errors that repeat themselves count as often as they are new.
     usual = float(np.median(np.diff(at[use]))) if at[use].size > 1 else 1.0
     repeats = max(2.0 * 4.0 / max(usual, 0.05), 1.0)

@@ -20,6 +20,9 @@ LOOK_BACK = 20.0
 PIECE = 0.5
 """Vibration averages out over so long, s."""
 
+SHORT = 0.1
+"""Pieces of a recording that holds little besides a blow, s."""
+
 OWN = 0.3
 """1 sigma of how much slope and bias differ from their median of the seconds before, m/s²."""
 
@@ -38,7 +41,7 @@ class Gravity(NamedTuple):
     span: float
 
 
-def pieces(t: Floats, f: Floats) -> Floats:
+def pieces(t: Floats, f: Floats, length: float = PIECE) -> Floats:
     """Means of the force over half seconds, shape (k, 3); a recording shorter than that is one piece.
 
     Parameters
@@ -47,15 +50,17 @@ def pieces(t: Floats, f: Floats) -> Floats:
         Box clock, s, increasing.
     f : ndarray, shape (n, 3)
         Specific force, any axes, m/s².
+    length : float
+        Of a piece, s.
 
     Returns
     -------
     ndarray, shape (k, 3)
-        m/s²; half seconds with less than half the samples of the fullest are left out.
+        m/s²; pieces with less than half the samples of the fullest are left out.
     """
     if t.size == 0:
         return np.zeros((0, 3))
-    edges = np.flatnonzero(np.diff(np.floor((t - t[-1] - 1e-9) / PIECE), prepend=-np.inf))
+    edges = np.flatnonzero(np.diff(np.floor((t - t[-1] - 1e-9) / length), prepend=-np.inf))
     count = np.diff(np.append(edges, t.size))
     means: Floats = np.add.reduceat(f, edges, axis=0) / count[:, None]
     return means[count >= 0.5 * count.max()]
@@ -77,7 +82,7 @@ def is_plain(f: Floats) -> bool:
     return bool(abs(float(np.linalg.norm(f)) - STANDARD_GRAVITY) < PLAIN)
 
 
-def usual_force(t: Floats, f: Floats) -> Floats:
+def usual_force(t: Floats, f: Floats, lengths: tuple[float, ...] = (PIECE,)) -> Floats:
     """Median force of the half seconds that show gravity alone, else of all samples.
 
     Parameters
@@ -86,15 +91,22 @@ def usual_force(t: Floats, f: Floats) -> Floats:
         Box clock, s, increasing.
     f : ndarray, shape (n, 3)
         Specific force, any axes, m/s²; at least one sample.
+    lengths : tuple of float
+        Of the pieces to look at, s: where none of the first length shows gravity alone, those of the next.
 
     Returns
     -------
     ndarray, shape (3,)
         In the axes of `f`, m/s².
     """
-    means = pieces(t, f)
-    plain = np.abs(np.linalg.norm(means, axis=1) - STANDARD_GRAVITY) < PLAIN
-    usual: Floats = np.median(means[plain] if plain.any() else f, axis=0)
+    for length in lengths:
+        means = pieces(t, f, length)
+        plain = means[np.abs(np.linalg.norm(means, axis=1) - STANDARD_GRAVITY) < PLAIN]
+        if plain.size:
+            break
+    else:
+        plain = f
+    usual: Floats = np.median(plain, axis=0)
     return usual
 
 

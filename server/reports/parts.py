@@ -108,8 +108,8 @@ def key_figures(document: dict[str, Any], words: Words, width: float) -> Table:
         (
             words("key_pdof"),
             words.number(event["pdof_deg"], 1),
-            "°" + (f" · {by_clock}" if by_clock else ""),
-            words.interval(event["pdof_interval95_deg"], 1),
+            "°",
+            words.interval(event["pdof_interval95_deg"], 1) + (f"<br/>{by_clock}" if by_clock else ""),
         ),
         (
             words("key_speed"),
@@ -132,6 +132,7 @@ def key_figures(document: dict[str, Any], words: Words, width: float) -> Table:
             [
                 ("BACKGROUND", (0, 0), (-1, -1), PAPER),
                 ("LINEBEFORE", (1, 0), (-1, -1), 0.5, LINE),
+                ("VALIGN", (0, 0), (-1, -1), "TOP"),
                 ("LEFTPADDING", (0, 0), (-1, -1), 8),
                 ("TOPPADDING", (0, 0), (-1, 0), 6),
                 ("BOTTOMPADDING", (0, 2), (-1, 2), 7),

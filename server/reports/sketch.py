@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 from typing import Any
 
 from reportlab.pdfbase.pdfmetrics import stringWidth
@@ -217,7 +218,7 @@ class WayMap(Flowable):
             if abs(row[0] - t_rest) < 2.0:
                 places.append(("rest", row[1], row[2], INK))
         dots = [self._at(east, north) for _, east, north, _ in places]
-        taken = [(x - 3.0, y - 3.0, x + 3.0, y + 3.0) for x, y in dots]
+        taken = [(x - 3.0, y - 3.0, x + 3.0, y + 3.0) for x, y in dots] + self._occupied()
         for (name, _, _, colour), (px, py) in zip(places, dots, strict=True):
             canvas.setFillColor(colour)
             canvas.circle(px, py, 2.6, stroke=0, fill=1)
@@ -225,6 +226,19 @@ class WayMap(Flowable):
             box = room_beside(px, py, stringWidth(text, PLAIN, 7), taken)
             taken.append(box)
             canvas.drawString(box[0], box[1] + 1.5, text)
+
+    def _occupied(self) -> list[Box]:
+        """Where no word may stand: along the way, under the scale and the key, at the arrow, outside of the frame."""
+        way = [self._at(row[1], row[2]) for row in self._rows]
+        boxes: list[Box] = []
+        for (x1, y1), (x2, y2) in pairwise(way):
+            pieces = max(math.ceil(math.dist((x1, y1), (x2, y2)) / 4.0), 1)
+            steps = [(x1 + (x2 - x1) * k / pieces, y1 + (y2 - y1) * k / pieces) for k in range(pieces)]
+            boxes += [(x - 1.0, y - 1.0, x + 1.0, y + 1.0) for x, y in steps]
+        right, top = self.width, self.height - 14
+        far = 10.0 * (right + top)
+        boxes += [(-far, -far, 2.0, far), (right - 2.0, -far, far, far), (-far, top - 2.0, far, far)]
+        return [*boxes, (-far, -far, far, 34.0), (right - 22.0, top - 46.0, right, top)]
 
     def _draw_scale(self, canvas: Canvas) -> None:
         length = self.grid * self._scale

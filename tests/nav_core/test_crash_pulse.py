@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from nav_core.crash.gps_change import Steady
 from nav_core.crash.pulse import blow_of, turn_since
+from nav_core.events.level import Gravity
 from nav_core.events.trigger import Window, stream_of
 from nav_core.records import Inertial
 
@@ -35,7 +35,7 @@ def test_a_blow_that_turns_the_vehicle_is_integrated_in_the_axes_at_time_zero():
     f_v = np.column_stack((push * np.cos(heading), -push * np.sin(heading), np.full(t.size, -9.81)))
     w_v = np.column_stack((np.zeros((t.size, 2)), rate))
     stream = stream_of(Inertial(t=t, f=f_v), np.eye(3))
-    steady = Steady(np.array([0.0, 0.0, -9.81]), 0.0, 1.0)
+    steady = Gravity(np.array([0.0, 0.0, -9.81]), 0.0, 1.0)
     blow = blow_of(stream, Window(zero, last, last), steady, w_v, margin=0.0995, tail=0.1)
     assert blow.zero == 99
     assert blow.v[blow.zero] == pytest.approx(np.zeros(3), abs=1e-12)

@@ -53,7 +53,7 @@ def test_a_burst_makes_an_event_and_the_context_revises_it(world):
     assert (first.kind, first.severe, first.revision) == ("crash", True, 1)
     assert first.at.timestamp() == pytest.approx(1_772_366_500.0, abs=0.6)
     assert first.result["basis"]["mounting_status"] == "ready"
-    assert world.kinds()[-1] == "event"
+    assert world.kinds()[-2:] == ["event", "alert"]
     for k, batch in enumerate(cut(drive_of(*DRIVE), seconds=20.0)):
         world.put(batch, k)
         world.bring_up()
