@@ -107,8 +107,8 @@ def key_figures(document: dict[str, Any], words: Words, width: float) -> Table:
         (words("key_dv"), words.number(dv, 1), "km/h", words.interval(dv_interval, 1)),
         (
             words("key_pdof"),
-            words.number(event["pdof_deg"], 1),
-            "°",
+            words.number(event["pdof_deg"], 1) + ("" if event["pdof_deg"] is None else "°"),
+            "",
             words.interval(event["pdof_interval95_deg"], 1) + (f"<br/>{by_clock}" if by_clock else ""),
         ),
         (

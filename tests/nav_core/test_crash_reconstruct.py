@@ -103,6 +103,18 @@ def test_everything_is_said_of_a_crash(turning):
     assert large >= small > 0.0
 
 
+@pytest.mark.parametrize("t", [30.05, 30.15])
+def test_a_fix_that_is_half_of_before_and_half_of_after_a_blow_does_not_bend_the_way(t):
+    blow = Impact(t=t, delta_v=4.2, pdof=np.radians(-15.0), speed=5.0, braking=6.0, braking_time=1.0)
+    drive, truth = struck(blow, speed_lag=0.17, course_lag=0.0)
+    (event,) = [each for each in reconstruct_drive(drive, mounted(truth)) if each.severe]
+    way = event.trajectory
+    near = np.abs(way.t) < 5.0
+    true = np.interp(way.t[near] + event.t0, truth.t, np.hypot(truth.velocity[:, 0], truth.velocity[:, 1]))
+    assert np.mean(((way.speed[near] - true) / way.speed_sigma[near]) ** 2) < 1.5
+    assert way.speed[way.t < 0.01][-1] == pytest.approx(5.0, abs=0.35)
+
+
 def test_the_same_input_gives_the_same_numbers(turning):
     drive, truth = turning
     one, other = (reconstruct_drive(drive, mounted(truth))[0] for _ in range(2))

@@ -128,14 +128,16 @@ export function note(host, words) {
   line.textContent = words;
 }
 
-/** Named points over everything else. @param {MapView} map @param {string} id @param {GeoJSON.FeatureCollection} data @param {any} fill by the feature @param {string} edge */
-export function namedPoints(map, id, data, fill, edge) {
+const SIDES = /** @type {const} */ (["right", "left"]);
+
+/** Named points over everything else. @param {MapView} map @param {string} id @param {GeoJSON.FeatureCollection} data @param {any} fill by the feature @param {string} edge @param {boolean} aside words rather to the sides than above and below */
+export function namedPoints(map, id, data, fill, edge, aside = false) {
   map.addSource(id, { type: "geojson", data });
   map.addLayer({ id, type: "circle", source: id, paint: { "circle-radius": 6, "circle-stroke-width": 2.5, "circle-stroke-color": edge, "circle-color": fill } });
   map.addLayer({
     id: `${id}-words`, type: "symbol", source: id,
     // Where points lie close together, their words go to different sides.
-    layout: { "text-field": ["get", "say"], "text-size": 12, "text-variable-anchor": ["top", "bottom", "right", "left", "top-right", "bottom-left"], "text-radial-offset": 0.9, "text-justify": "auto" },
+    layout: { "text-field": ["get", "say"], "text-size": 12, "text-variable-anchor": [...(aside ? SIDES : []), "top", "bottom", ...(aside ? [] : SIDES), "top-right", "bottom-left"], "text-radial-offset": 0.9, "text-justify": "auto" },
     paint: { "text-color": colour("ink"), "text-halo-color": colour("card"), "text-halo-width": 1.5 },
   });
 }

@@ -14,6 +14,7 @@ class EventMap extends HTMLElement {
   #lines = collection([]);
   #ellipses = collection([]);
   #marks = collection([]);
+  #upright = false;
 
   connectedCallback() { whenSeen(this, () => void this.#open()); }
 
@@ -47,6 +48,9 @@ class EventMap extends HTMLElement {
     this.#ellipses = collection(every.flatMap(({ place, k }) => ellipse(place, way.ellipse_long_m[k], way.ellipse_short_m[k], way.ellipse_deg[k])));
     const nearest = (/** @type {number} */ wanted) => points.reduce((best, p) => (Math.abs(p.t - wanted) < Math.abs(best.t - wanted) ? p : best), /** @type {typeof points[0]} */ (points[0]));
     const marks = points.length ? [{ words: "impact", place: nearest(0).place }, ...(rest !== null ? [{ words: "rest", place: nearest(rest).place }] : [])] : [];
+    // Words go beside the way, not along it.
+    const [from, to] = [points.length ? nearest(-2).place : [0, 0], marks[0]?.place ?? [0, 0]];
+    this.#upright = Math.abs(to[1] - from[1]) > Math.abs(to[0] - from[0]) * Math.cos((to[1] * Math.PI) / 180);
     this.#marks = collection(marks.map(({ words, place }) => ({ type: "Feature", properties: { words, say: words === "impact" ? t("impact") : t("rest") }, geometry: { type: "Point", coordinates: place } })));
     return points;
   }
@@ -64,7 +68,7 @@ class EventMap extends HTMLElement {
         "line-width": ["match", ["get", "when"], "last", 5, 3], "line-opacity": ["match", ["get", "when"], "before", 0.6, 1],
       },
     });
-    namedPoints(map, "marks", this.#marks, ["match", ["get", "words"], "impact", colour("alarm-fill"), colour("ink")], colour("card"));
+    namedPoints(map, "marks", this.#marks, ["match", ["get", "words"], "impact", colour("alarm-fill"), colour("ink")], colour("card"), this.#upright);
   }
 }
 
