@@ -20,6 +20,7 @@ from nav_core.events.record import ALGORITHM, Basis, CrashEvent, DeltaV, Estimat
 from nav_core.events.scene import scene_of
 from nav_core.events.trigger import MULTI_EVENT
 from nav_core.records import Drive, MountingEstimate, Remark
+from nav_core.timebase import ClockFit
 from nav_core.typing import Floats
 
 SEVERE_FIRST = ("rollover", "crash", "parked_impact")
@@ -251,8 +252,14 @@ def _basis(case: Case, t0: float, impact: Impact | None) -> Basis:
         speed_lag=mounting.speed_lag,
         course_lag=mounting.course_lag,
         utc_t0=None if clock is None else float(clock.utc(np.array(t0))),
-        utc_sigma=None if clock is None else float(np.hypot(clock.sigma, clock.drift_sigma * (t0 - clock.t_ref))),
+        utc_sigma=None if clock is None else _utc_sigma(case, clock, t0),
     )
+
+
+def _utc_sigma(case: Case, clock: ClockFit, t0: float) -> float:
+    """1 sigma of the UTC of a moment, s: how late fixes come is not told by their own times (`fit_clock`)."""
+    fit = np.hypot(clock.sigma, clock.drift_sigma * (t0 - clock.t_ref))
+    return float(np.linalg.norm([fit, case.lags.speed, case.lags.sigma]))
 
 
 def _other(case: Case, impact: Impact) -> SecondImpact:

@@ -238,7 +238,8 @@ class WayMap(Flowable):
         right, top = self.width, self.height - 14
         far = 10.0 * (right + top)
         boxes += [(-far, -far, 2.0, far), (right - 2.0, -far, far, far), (-far, top - 2.0, far, far)]
-        return [*boxes, (-far, -far, far, 34.0), (right - 22.0, top - 46.0, right, top)]
+        scale = right - self.grid * self._scale - 12.0
+        return [*boxes, (-far, -far, far, 16.0), (scale, 16.0, right, 34.0), (right - 22.0, top - 46.0, right, top)]
 
     def _draw_scale(self, canvas: Canvas) -> None:
         length = self.grid * self._scale

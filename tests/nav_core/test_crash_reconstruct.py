@@ -93,6 +93,7 @@ def test_everything_is_said_of_a_crash(turning):
     assert event.driver.steered == "none"
     assert event.driver.stopping_distance > 5.0
     assert event.basis.fixes_before > 5
+    assert abs(event.basis.utc_t0 - Scenario().start_utc - event.t0) < 2.0 * event.basis.utc_sigma < 1.0
     assert {"off_centre", "phd_needs_rate"} <= codes(event)
     assert "axes_rotating" not in codes(event)
     # The pulse shown integrates to the number given.
