@@ -49,8 +49,10 @@ class EventMap extends HTMLElement {
     const nearest = (/** @type {number} */ wanted) => points.reduce((best, p) => (Math.abs(p.t - wanted) < Math.abs(best.t - wanted) ? p : best), /** @type {typeof points[0]} */ (points[0]));
     const marks = points.length ? [{ words: "impact", place: nearest(0).place }, ...(rest !== null ? [{ words: "rest", place: nearest(rest).place }] : [])] : [];
     // Words go beside the way, not along it.
-    const [from, to] = [points.length ? nearest(-2).place : [0, 0], marks[0]?.place ?? [0, 0]];
-    this.#upright = Math.abs(to[1] - from[1]) > Math.abs(to[0] - from[0]) * Math.cos((to[1] * Math.PI) / 180);
+    if (points.length) {
+      const [lon0, lat0] = nearest(-2).place, [lon1, lat1] = nearest(0).place;
+      this.#upright = Math.abs(lat1 - lat0) > Math.abs(lon1 - lon0) * Math.cos((lat1 * Math.PI) / 180);
+    }
     this.#marks = collection(marks.map(({ words, place }) => ({ type: "Feature", properties: { words, say: words === "impact" ? t("impact") : t("rest") }, geometry: { type: "Point", coordinates: place } })));
     return points;
   }
