@@ -66,8 +66,8 @@ def analysis(args: argparse.Namespace) -> int:
     from server.jobs.analyses import NICENESS, work_off
     from server.jobs.supervise import follow_parent
     from server.jobs.worker import utc_now
+    from server.logs import configure_logging
     from server.store import open_store
-    from server.telemetry import configure_logging
 
     settings = Settings()
     configure_logging(as_json=settings.log_json, level=settings.log_level)
