@@ -67,6 +67,11 @@ def preferences_of(connection: HTTPConnection) -> Preferences:
     return Preferences() if caller is None else caller.preferences
 
 
+def measures_of(connection: HTTPConnection) -> Measures:
+    """The units that the account says."""
+    return MEASURES[preferences_of(connection).units]
+
+
 def language_of(connection: HTTPConnection) -> Language:
     """The language that the account says, else the browser's."""
     return preferences_of(connection).language or preferred(connection.headers.get("accept-language", ""))

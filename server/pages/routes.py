@@ -12,7 +12,7 @@ from fastapi import APIRouter, Form, Query, Request
 from sqlalchemy.orm import Session
 from starlette.responses import FileResponse, HTMLResponse, RedirectResponse, Response
 
-from server.accounts.access import Caller, Installer, Reader, Reviewer, look_at_places
+from server.accounts.access import Caller, Installer, LocationReader, Reader, Reviewer, look_at_places
 from server.accounts.places import sight_of
 from server.database import Database
 from server.edge import DatabaseOf, Now, SettingsOf
@@ -25,6 +25,7 @@ from server.pages import events as event_queries
 from server.pages import frame, queries
 from server.pages.templating import renderer
 from server.pages.words import BEGINNINGS, CLASSES, STATUSES
+from server.reports.words import Words
 from server.settings import Settings
 from server.wording import marked
 
@@ -137,9 +138,30 @@ def event(request: Request, event_id: str, caller: Reader, settings: SettingsOf,
     look_at_places(request, caller)
     with database.reading() as session:
         change = queries.last_change(session, caller.organisation_id)
-        page = event_queries.event_page(session, caller.organisation_id, event_id, frame.language_of(request))
+        language, measures = frame.language_of(request), frame.measures_of(request)
+        page = event_queries.event_page(session, caller.organisation_id, event_id, language, measures)
     context = {"page": page, "actions": event_queries.ACTIONS, **map_settings(settings)}
     return answer(request, "event.html", caller, "events", change, context)
+
+
+@router.get("/events/{event_id}/compare")
+def compare(
+    request: Request,
+    event_id: str,
+    caller: LocationReader,
+    database: DatabaseOf,
+    before: Annotated[int, Query(ge=1, le=1_000_000)],
+    after: Annotated[int, Query(ge=1, le=1_000_000)],
+) -> HTMLResponse:
+    """Two revisions of an event side by side."""
+    measures = frame.measures_of(request)
+    words = Words(frame.language_of(request), measures.speed)
+    with database.reading() as session:
+        change = queries.last_change(session, caller.organisation_id)
+        found = event_queries.comparison(
+            session, caller.organisation_id, event_id, before, after, words, measures.per_mps / 3.6
+        )
+    return answer(request, "event-compare.html", caller, "events", change, {"found": found})
 
 
 @router.post("/events/{event_id}/review")
