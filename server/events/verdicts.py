@@ -11,8 +11,8 @@ from typing import Any, Literal
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
-from server.formats.spreadsheet import spreadsheet_text
 from server.events.queries import LISTED
+from server.formats.spreadsheet import spreadsheet_text
 from server.models import Event, EventRevision, Vehicle
 
 VerdictFormat = Literal["csv", "json"]

@@ -217,8 +217,7 @@ def lines(
 
 def search(session: Session, organisation_id: str, text: str, *, limit: int = 20) -> list[Line]:
     """Events by the beginning of their id, and by what was written of them: a note, the reason of a hold (a claim)."""
-    like = "%" + text.replace("\\", "\\\\").replace("%", "\\%").replace("_", "\\_") + "%"
-    found = [column.ilike(like, escape="\\") for column in (Event.note, Event.hold_reason)]
+    found = [column.icontains(text, autoescape=True) for column in (Event.note, Event.hold_reason)]
     if len(text) >= ID_LETTERS and set(text.lower()) <= set("0123456789abcdef"):
         found.append(Event.id.startswith(text.lower()))
     query = (

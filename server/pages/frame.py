@@ -30,10 +30,19 @@ SECTIONS = (
     Section("install", "/install", "wrench", marked("Install"), "install"),
     Section("alerts", "/alerts", "bell", marked("Alerts")),
     Section("workbench", "/workbench", "bench", marked("Workbench"), "raw.read"),
-    Section("users", "/users", "people", marked("People"), "users.manage"),
-    Section("audit", "/audit", "list", marked("Audit"), "audit.read"),
-    Section("privacy", "/privacy", "shield", marked("Privacy"), "privacy.manage"),
+    Section("admin", "/admin", "gear", marked("Administration"), "fleet.write"),
 )
+ADMINISTRATION = (
+    Section("overview", "/admin", "list", marked("Overview"), "fleet.write"),
+    Section("boxes", "/admin/boxes", "box", marked("Boxes"), "fleet.write"),
+    Section("rules", "/admin/alerts", "bell", marked("Rules and channels"), "fleet.write"),
+    Section("work", "/admin/work", "list", marked("Work"), "jobs.manage"),
+    Section("versions", "/admin/versions", "list", marked("Versions"), "jobs.manage"),
+    Section("users", "/users", "people", marked("People"), "users.manage"),
+    Section("privacy", "/privacy", "shield", marked("Privacy"), "privacy.manage"),
+    Section("audit", "/audit", "list", marked("Audit"), "audit.read"),
+)
+"""The pages of the last section; each shows the others above it."""
 ON_PHONE = 3
 
 
@@ -59,6 +68,11 @@ def sections(caller: Caller) -> list[Section]:
     if caller.may("install") and not caller.may("fleet.write"):
         seen.sort(key=lambda section: section.key != "install")
     return seen
+
+
+def administration(caller: Caller) -> list[Section]:
+    """The administration's pages that the caller may see."""
+    return [page for page in ADMINISTRATION if caller.may(page.permission)]
 
 
 def preferences_of(connection: HTTPConnection) -> Preferences:

@@ -83,7 +83,7 @@ def _page(
         context = _context(session, caller, now)
         change = queries.last_change(session, caller.organisation_id)
     shown = {"done": said, "error": None if problem is None else problem.detail, "plan": plan}
-    page = answer(request, "privacy.html", caller, "privacy", change, {**context, **shown})
+    page = answer(request, "privacy.html", caller, "admin", change, {**context, **shown})
     page.status_code = 200 if problem is None else problem.status
     return page
 

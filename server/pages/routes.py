@@ -248,6 +248,7 @@ def answer(
         "section": section,
         "sections": frame.sections(caller),
         "on_phone": frame.ON_PHONE,
+        "administration": frame.administration(caller),
         "csrf_token": caller.csrf_token or "",
         "signed_in": caller.kind == "session",
         "last_change": last_change,
