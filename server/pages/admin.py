@@ -39,7 +39,6 @@ CHECKS = {
     "worker": marked("Worker"),
     "broker": marked("Broker"),
     "viewer": marked("3D viewer"),
-    "draining": marked("Shutting down"),
 }
 
 
@@ -176,8 +175,10 @@ def overview(
             else [],
         }
     checks = readiness.checks(request.app.state.database, store, now)
+    ending = checks.pop("draining")
     context |= {
         "checks": [(CHECKS.get(name, name), check) for name, check in checks.items()],
+        "ending": ending.failure,
         "software": metadata.version("scatola"),
         "schema": head(),
         "algorithm": ALGORITHM,
