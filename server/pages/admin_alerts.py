@@ -152,6 +152,9 @@ def _set_rule(
     rule_id: str | None,
     typed: dict[str, list[str]],
 ) -> Response:
+    kind = typed.setdefault("kind", ["crash"])[0]
+    if kind not in CONDITIONS:
+        raise InvalidError(f"There is no rule of the kind {kind[:20]!r}")
     try:
         wanted: RuleIn = checked(RuleIn, **_fields(typed))
         with database.transaction() as session:
@@ -166,7 +169,7 @@ def _set_rule(
 def _fields(typed: dict[str, list[str]]) -> dict[str, Any]:
     """A rule as the API takes it, from what was typed; empty fields keep their defaults."""
     one = {name: values[0].strip() for name, values in typed.items() if values and values[0].strip()}
-    condition: dict[str, Any] = {"kind": one.get("kind", "crash")}
+    condition: dict[str, Any] = {"kind": one["kind"]}
     condition |= {name: _decimal(one[name]) for name in _NUMBERS if name in one}
     condition |= {name: one[name] for name in ("per", "on") if name in one}
     if condition["kind"] == "geofence":
@@ -275,7 +278,7 @@ def _channel_as_typed(row: AlertChannel) -> dict[str, list[str]]:
 def _channel_in(typed: dict[str, list[str]]) -> Any:
     one = {name: values[0].strip() for name, values in typed.items() if values and values[0].strip()}
     wanted: dict[str, Any] = {
-        "kind": one.get("kind", "email"),
+        "kind": one["kind"],
         "name": one.get("name", ""),
         "emergency": "emergency" in one,
         "enabled": "enabled" in one,
@@ -293,6 +296,9 @@ def add_channel(
 ) -> Response:
     """Make a channel; a webhook's secret is shown in the answer and never again."""
     guard = Guard(settings.webhook_networks)
+    kind = typed.setdefault("kind", ["email"])[0]
+    if kind not in CHANNELS:
+        raise InvalidError(f"There is no channel of the kind {kind[:20]!r}")
     try:
         wanted = _channel_in(typed)
         with database.transaction() as session:

@@ -148,7 +148,7 @@ def version_page(request: Request, caller: JobManager, database: DatabaseOf) -> 
             "outdated": outdated(session, caller.organisation_id),
             "algorithm": rerun.ALGORITHM,
             "runs": runs,
-            "done": dict(session.execute(done).tuples().all()),
+            "done": {row.rerun_id: row[1] for row in session.execute(done)},
             "boxes": boxes,
             "box_names": {box.id: box.name for box in boxes},
         }
