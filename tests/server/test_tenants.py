@@ -525,7 +525,7 @@ def test_an_administrator_reaches_nothing_of_another_organisation(app, client, t
                 answer = client.get(
                     path, params={"device": tenants.theirs["device"], "vehicle": tenants.theirs["vehicle"]}
                 )
-                # The log, the newest of which the first page of the administration shows, repeats what this very test asked.
+                # The log, whose newest entries /admin shows too, repeats what this very test asked.
                 their_ids = () if "audit" in path or path == "/admin" else tenants.theirs.values()
                 for told in ("of b", "b.test", *their_ids):
                     assert told not in answer.text, (path, told)
