@@ -43,6 +43,7 @@ from server.pages import install_routes as install_pages
 from server.pages import mounting_routes as mounting_pages
 from server.pages import privacy as privacy_pages
 from server.pages import routes as pages
+from server.pages import trips as trip_pages
 from server.pages import workbench as workbench_pages
 from server.privacy import routes as privacy
 from server.reports import routes as reports
@@ -161,6 +162,7 @@ def create_app(settings: Settings, *, clock: Clock = utc_now) -> FastAPI:
         privacy_pages,
         alert_pages,
         workbench_pages,
+        trip_pages,
         admin,
         admin_boxes,
         admin_alerts,

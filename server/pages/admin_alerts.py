@@ -191,7 +191,10 @@ def _fence(one: dict[str, str]) -> dict[str, Any]:
         if any(len(line) != 2 for line in lines):
             raise InvalidError(marked("Each corner is a line of two numbers: latitude and longitude"))
         return {"shape": "polygon", "corners": [[_decimal(lat), _decimal(lon)] for lat, lon in lines]}
-    return {"shape": "circle", **{name: _decimal(one.get(name, "")) for name in ("lat_deg", "lon_deg", "radius_m")}}
+    sizes = ("lat_deg", "lon_deg", "radius_m")
+    if not all(name in one for name in sizes):
+        raise InvalidError(marked("Give latitude, longitude and radius of a circle, or the corners of an area"))
+    return {"shape": "circle", **{name: _decimal(one[name]) for name in sizes}}
 
 
 def _decimal(text: str) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime as dt
 from typing import Annotated, Any, TypeVar
 
 from fastapi import Depends, Form, Request
@@ -26,6 +27,17 @@ def checked(model: type[T] | Any, **fields: object) -> Any:
 def back(path: str) -> Response:
     """To the page that shows what was done."""
     return RedirectResponse(path, 303)
+
+
+def day(text: str, following: int = 0) -> dt.datetime | None:
+    """The beginning of a day of the calendar, UTC, or of one that follows it; nothing where nothing was typed."""
+    if not text.strip():
+        return None
+    try:
+        begins = dt.datetime.combine(dt.date.fromisoformat(text.strip()), dt.time(), dt.UTC)
+        return begins + dt.timedelta(days=following)
+    except (ValueError, OverflowError):
+        raise InvalidError(f"{text[:20]!r} is no day such as 2026-03-01") from None
 
 
 async def _typed(request: Request) -> dict[str, list[str]]:

@@ -28,6 +28,7 @@ SECTIONS = (
     Section("vehicles", "/vehicles", "car", marked("Vehicles")),
     Section("events", "/events", "impact", marked("Events")),
     Section("install", "/install", "wrench", marked("Install"), "install"),
+    Section("trips", "/trips", "way", marked("Trips")),
     Section("alerts", "/alerts", "bell", marked("Alerts")),
     Section("workbench", "/workbench", "bench", marked("Workbench"), "raw.read"),
     Section("admin", "/admin", "gear", marked("Administration"), "fleet.write"),

@@ -39,6 +39,7 @@ PATHS = {
     "events": "/events?show=all",
     "workbench": "/workbench",
     "live": "/devices/[Fiat Panda]/live",
+    "trips": "/trips",
     "admin": "/admin",
     "admin-boxes": "/admin/boxes",
     "admin-alerts": "/admin/alerts",

@@ -22,6 +22,7 @@ from server.models import (
     EventRevision,
     JobFailure,
     Rerun,
+    Trip,
     Vehicle,
 )
 
@@ -328,3 +329,35 @@ def test_speeds_of_an_event_in_the_readers_unit(app, serve, tenants, clock):
     assert "mph" in page
     assert "km/h" not in words
     assert "km/h" not in listed
+
+
+# --- trips
+
+
+@pytest.mark.both_databases
+def test_trips_are_listed_filtered_and_paged(admin, tenants, monkeypatch):
+    monkeypatch.setattr("server.pages.trips.SHOWN", 2)
+    with tenants.database.transaction() as session:
+        first = session.get_one(Trip, tenants.mine["trip"])
+        kept = {c.key: getattr(first, c.key) for c in sa.inspect(Trip).columns if c.key != "id"}
+        for k in range(1, 4):
+            began = first.began_at + dt.timedelta(days=k)
+            session.add(Trip(**{**kept, "began_at": began, "ended_at": began, "distance_m": 1000.0 * k}))
+
+    def listed(**params) -> list[str]:
+        answer = admin.get("/trips", params=params)
+        assert answer.status_code == 200, answer.text
+        assert "vehicle of b" not in answer.text
+        return re.findall(r'data-label="Distance, km" class="right num">([\d.]+)<', answer.text)
+
+    assert listed() == ["3.0", "2.0"]
+    older = re.search(r'href="/trips\?([^"]*)"', admin.get("/trips").text)
+    assert older is not None
+    page = admin.get(f"/trips?{older[1].replace('&amp;', '&')}").text
+    assert re.findall(r'data-label="Distance, km" class="right num">([\d.]+)<', page) == ["1.0", "0.0"]
+    assert listed(shortest_km=2.5) == ["3.0"]
+    assert listed(since="2026-03-02", until="2026-03-02") == ["1.0"]
+    assert listed(q="vehicle of a") == ["3.0", "2.0"]
+    assert listed(q="nothing") == []
+    for wrong in ({"since": "soon"}, {"before": "x"}):
+        assert admin.get("/trips", params=wrong).status_code == 422, wrong
