@@ -23,6 +23,7 @@ from server.installations import service as installations
 from server.installations.schemas import ManualMounting
 from server.pages import events as event_queries
 from server.pages import frame, queries
+from server.pages.compare import comparison
 from server.pages.templating import renderer
 from server.pages.words import BEGINNINGS, CLASSES, STATUSES
 from server.reports.words import Words
@@ -158,9 +159,7 @@ def compare(
     words = Words(frame.language_of(request), measures.speed)
     with database.reading() as session:
         change = queries.last_change(session, caller.organisation_id)
-        found = event_queries.comparison(
-            session, caller.organisation_id, event_id, before, after, words, measures.per_mps / 3.6
-        )
+        found = comparison(session, caller.organisation_id, event_id, before, after, words, measures.per_mps / 3.6)
     return answer(request, "event-compare.html", caller, "events", change, {"found": found})
 
 
