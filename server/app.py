@@ -37,12 +37,13 @@ from server.live import routes as live
 from server.migrations import serves
 from server.operations import routes as operations
 from server.pages import accounts as account_pages
+from server.pages import admin, admin_alerts, admin_boxes, admin_work, fleet_routes, templating
 from server.pages import alerts as alert_pages
-from server.pages import fleet_routes, templating
 from server.pages import install_routes as install_pages
 from server.pages import mounting_routes as mounting_pages
 from server.pages import privacy as privacy_pages
 from server.pages import routes as pages
+from server.pages import trips as trip_pages
 from server.pages import workbench as workbench_pages
 from server.privacy import routes as privacy
 from server.reports import routes as reports
@@ -161,6 +162,11 @@ def create_app(settings: Settings, *, clock: Clock = utc_now) -> FastAPI:
         privacy_pages,
         alert_pages,
         workbench_pages,
+        trip_pages,
+        admin,
+        admin_boxes,
+        admin_alerts,
+        admin_work,
     ):
         app.include_router(part.router, responses=problems.described(401, 403, 404, 422))
     app.mount("/static/vendor", StaticFiles(directory=folder("web") / "vendor", check_dir=False))

@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import datetime as dt
 from collections.abc import Awaitable, Callable
-from typing import Annotated, cast
+from typing import Annotated, Any, cast
 
 from fastapi import Depends
+from sqlalchemy.orm import Session
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import HTTPConnection
 
@@ -90,6 +91,20 @@ def sees_places(at_least: Permission) -> Callable[[HTTPConnection], Awaitable[Ca
     return with_sight
 
 
+def note(
+    session: Session,
+    connection: HTTPConnection,
+    caller: Caller,
+    action: str,
+    subject: str,
+    *,
+    now: dt.datetime,
+    detail: dict[str, Any] | None = None,
+) -> None:
+    """Write what a caller does to the audit log, in the transaction that does it."""
+    audit.record(session, caller, action, subject, now=now, address=address_of(connection), detail=detail)
+
+
 def address_of(connection: HTTPConnection) -> str:
     """Where a request came from, as far as the proxies in front are believed."""
     return connection.client.host if connection.client else ""
@@ -151,4 +166,5 @@ __all__ = [
     "look",
     "look_at_places",
     "needs",
+    "note",
 ]

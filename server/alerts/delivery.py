@@ -141,6 +141,13 @@ def _send(settings: Settings, taken: Taken, now: dt.datetime) -> Answer:
         return Answer(delivered=False, status=None, detail=type(error).__name__)
 
 
+def send_test(settings: Settings, channel: AlertChannel, *, now: dt.datetime) -> Answer:
+    """Try a channel once, with a message that says so; it is owed to nobody and is not tried again."""
+    delivery_id = new_id()
+    body = words.TEST_TEXT.encode() if channel.kind == "email" else words.tried_document(delivery_id)
+    return _send(settings, Taken(delivery_id, 1, "", False, body, words.TEST_SUBJECT, channel), now)
+
+
 def _post(settings: Settings, channel: AlertChannel, taken: Taken, now: dt.datetime) -> Answer:
     timestamp = int(now.timestamp())
     headers = {

@@ -9,9 +9,8 @@ from fastapi import APIRouter, Path, Query, Request
 from sqlalchemy.orm import Session
 from starlette.responses import Response
 
-from server.accounts import audit
-from server.accounts.access import Administrator, Caller, Reader, address_of, look_at_places
-from server.alerts import queries, service
+from server.accounts.access import Administrator, Caller, Reader, look_at_places, note
+from server.alerts import delivery, queries, service
 from server.alerts.schemas import (
     AlertOut,
     AlertPage,
@@ -26,13 +25,16 @@ from server.alerts.schemas import (
     Replayed,
     RuleIn,
     RuleOut,
+    TestOut,
     TheftIn,
     TheftOut,
 )
 from server.alerts.webhook import Guard
+from server.database import Database
 from server.edge import DatabaseOf, Now, SettingsOf, place_of
 from server.models import Alert, AlertRule
 from server.problems import described
+from server.settings import Settings
 
 router = APIRouter(prefix="/api/v1", tags=["alerts"])
 
@@ -99,11 +101,13 @@ def list_rules(caller: Reader, database: DatabaseOf) -> list[RuleOut]:
 
 
 @router.post("/alert-rules", status_code=201, responses=described(409))
-def add_rule(wanted: RuleIn, caller: Administrator, database: DatabaseOf, now: Now) -> RuleOut:
+def add_rule(request: Request, wanted: RuleIn, caller: Administrator, database: DatabaseOf, now: Now) -> RuleOut:
     """Be told of something."""
     with database.transaction() as session:
         rule_id = service.set_rule(session, caller.organisation_id, None, wanted, now=now)
-        return rule_out(queries.rule_of(session, caller.organisation_id, rule_id))
+        row = queries.rule_of(session, caller.organisation_id, rule_id)
+        note_rule(session, request, caller, "rule.added", row, now=now)
+        return rule_out(row)
 
 
 @router.get("/alert-rules/{rule_id}")
@@ -114,17 +118,23 @@ def read_rule(rule_id: Id, caller: Reader, database: DatabaseOf) -> RuleOut:
 
 
 @router.put("/alert-rules/{rule_id}", responses=described(409))
-def change_rule(rule_id: Id, wanted: RuleIn, caller: Administrator, database: DatabaseOf, now: Now) -> RuleOut:
+def change_rule(
+    request: Request, rule_id: Id, wanted: RuleIn, caller: Administrator, database: DatabaseOf, now: Now
+) -> RuleOut:
     """The whole rule anew; its kind stays."""
     with database.transaction() as session:
         service.set_rule(session, caller.organisation_id, rule_id, wanted, now=now)
-        return rule_out(queries.rule_of(session, caller.organisation_id, rule_id))
+        row = queries.rule_of(session, caller.organisation_id, rule_id)
+        note_rule(session, request, caller, "rule.changed", row, now=now)
+        return rule_out(row)
 
 
 @router.delete("/alert-rules/{rule_id}", status_code=204)
-def remove_rule(rule_id: Id, caller: Administrator, database: DatabaseOf) -> Response:
+def remove_rule(request: Request, rule_id: Id, caller: Administrator, database: DatabaseOf, now: Now) -> Response:
     """Look for it no more; its alerts stay."""
     with database.transaction() as session:
+        row = queries.rule_of(session, caller.organisation_id, rule_id)
+        note_rule(session, request, caller, "rule.removed", row, now=now)
         service.remove_rule(session, caller.organisation_id, rule_id)
     return Response(status_code=204)
 
@@ -146,7 +156,7 @@ def add_channel(
         made = service.add_channel(
             session, caller.organisation_id, wanted, guard=Guard(settings.webhook_networks), now=now
         )
-        _note(session, caller, "channel.added", made, request, now)
+        note_channel(session, caller, "channel.added", made, request, now)
     return made
 
 
@@ -174,7 +184,7 @@ def change_channel(
             session, caller.organisation_id, channel_id, wanted, guard=Guard(settings.webhook_networks)
         )
         told = ChannelOut.model_validate(row, from_attributes=True)
-        _note(session, caller, "channel.changed", told, request, now)
+        note_channel(session, caller, "channel.changed", told, request, now)
     return told
 
 
@@ -183,8 +193,30 @@ def new_secret(request: Request, channel_id: Id, caller: Administrator, database
     """Another secret for a webhook, shown once; the old one ends at once."""
     with database.transaction() as session:
         made = service.new_secret(session, caller.organisation_id, channel_id)
-        _note(session, caller, "channel.secret", made, request, now)
+        note_channel(session, caller, "channel.secret", made, request, now)
     return made
+
+
+@router.post("/alert-channels/{channel_id}/test")
+def send_test(
+    request: Request, channel_id: Id, caller: Administrator, settings: SettingsOf, database: DatabaseOf, now: Now
+) -> TestOut:
+    """Send a message that says it is a test, at once and once; what came of it."""
+    return tested(request, channel_id, caller, settings, database, now)
+
+
+def tested(
+    request: Request, channel_id: str, caller: Caller, settings: Settings, database: Database, now: dt.datetime
+) -> TestOut:
+    """Try a channel outside any transaction, and tell the audit log."""
+    with database.reading() as session:
+        row = queries.channel_of(session, caller.organisation_id, channel_id)
+    answer = delivery.send_test(settings, row, now=now)
+    told = TestOut(delivered=answer.delivered, status=answer.status, detail=answer.detail)
+    with database.transaction() as session:
+        detail = {"name": row.name, "delivered": told.delivered, "status": told.status}
+        note(session, request, caller, "channel.tested", f"channel={channel_id}", now=now, detail=detail)
+    return told
 
 
 @router.post("/alert-channels/{channel_id}/replay")
@@ -201,7 +233,7 @@ def remove_channel(request: Request, channel_id: Id, caller: Administrator, data
         row = queries.channel_of(session, caller.organisation_id, channel_id)
         told = ChannelOut.model_validate(row, from_attributes=True)
         service.remove_channel(session, caller.organisation_id, channel_id)
-        _note(session, caller, "channel.removed", told, request, now)
+        note_channel(session, caller, "channel.removed", told, request, now)
     return Response(status_code=204)
 
 
@@ -280,9 +312,17 @@ def without_places(facts: dict[str, Any]) -> dict[str, Any]:
     return told
 
 
-def _note(
+def note_channel(
     session: Session, caller: Caller, action: str, channel: ChannelOut, request: Request, now: dt.datetime
 ) -> None:
+    """Tell the audit log of a channel."""
     detail = {"kind": channel.kind, "name": channel.name, "emergency": channel.emergency, "enabled": channel.enabled}
-    address = address_of(request)
-    audit.record(session, caller, action, f"channel={channel.id}", now=now, address=address, detail=detail)
+    note(session, request, caller, action, f"channel={channel.id}", now=now, detail=detail)
+
+
+def note_rule(
+    session: Session, request: Request, caller: Caller, action: str, rule: AlertRule, *, now: dt.datetime
+) -> None:
+    """Tell the audit log of a rule."""
+    detail = {"kind": rule.kind, "name": rule.name, "enabled": rule.enabled}
+    note(session, request, caller, action, f"rule={rule.id}", now=now, detail=detail)

@@ -229,6 +229,16 @@ class DeliveryPage(BaseModel):
     items: list[DeliveryOut]
 
 
+class TestOut(BaseModel):
+    """What came of a test message."""
+
+    __test__ = False  # no test of ours, whatever its name
+
+    delivered: bool
+    status: int | None = Field(description="of the receiver, HTTP or SMTP")
+    detail: str
+
+
 class Replayed(BaseModel):
     replayed: int
 

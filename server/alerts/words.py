@@ -199,5 +199,14 @@ def document(subject: Subject, delivery: AlertDelivery, public_url: str | None) 
     return orjson.dumps(told)
 
 
+def tried_document(delivery_id: str) -> bytes:
+    """What a webhook gets that somebody tries out."""
+    return orjson.dumps({"schema": SCHEMA, "delivery_id": delivery_id, "reason": "test", "alert": None, "url": None})
+
+
+TEST_SUBJECT = "Scatola: test message"
+TEST_TEXT = "Somebody tried this channel. Alerts of your fleet will come here; there is nothing to do.\n"
+
+
 def _moment(at: dt.datetime) -> str:
     return at.astimezone(dt.UTC).strftime("%Y-%m-%d %H:%M:%S UTC")

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from fastapi import APIRouter, Header, Query
+from fastapi import APIRouter, Header, Query, Request
 from starlette.responses import Response
 
-from server.accounts.access import Administrator, Installer, Reader
+from server.accounts.access import Administrator, Installer, Reader, note
 from server.devices import provisioning, queries, service
 from server.devices.schemas import (
     ClaimCodeOut,
@@ -31,6 +31,7 @@ IdempotencyKey = Annotated[str | None, Header(min_length=1, max_length=200)]
 
 @router.post("", status_code=201, responses={200: {"model": DeviceToken}, **described(409)})
 def register(
+    request: Request,
     wanted: DeviceIn,
     response: Response,
     caller: Administrator,
@@ -43,6 +44,8 @@ def register(
         device, new = service.register(
             session, caller.organisation_id, wanted, idempotency_key=idempotency_key, now=now
         )
+        if new:
+            note(session, request, caller, "box.added", f"device={device.id}", now=now, detail={"name": wanted.name})
     response.status_code = 201 if new else 200
     return device
 
@@ -67,16 +70,20 @@ def read(device_id: str, caller: Reader, database: DatabaseOf) -> DeviceOut:
 
 
 @router.post("/{device_id}/token")
-def rotate_token(device_id: str, caller: Administrator, database: DatabaseOf, now: Now) -> DeviceToken:
+def rotate_token(
+    request: Request, device_id: str, caller: Administrator, database: DatabaseOf, now: Now
+) -> DeviceToken:
     """Give a box a new token; the old one ends at once."""
     with database.transaction() as session:
+        note(session, request, caller, "box.token", f"device={device_id}", now=now)
         return service.rotate_token(session, caller.organisation_id, device_id, now=now)
 
 
 @router.post("/{device_id}/revoke")
-def revoke(device_id: str, caller: Administrator, database: DatabaseOf, now: Now) -> DeviceOut:
+def revoke(request: Request, device_id: str, caller: Administrator, database: DatabaseOf, now: Now) -> DeviceOut:
     """Refuse a box from now on; its data stay."""
     with database.transaction() as session:
+        note(session, request, caller, "box.revoked", f"device={device_id}", now=now)
         service.revoke(session, caller.organisation_id, device_id, now=now)
         return queries.device(session, caller.organisation_id, device_id)
 
@@ -102,19 +109,22 @@ def put_into_vehicle(
 
 
 @router.post("/{device_id}/claim-code", status_code=201, responses=described(409))
-def new_claim_code(device_id: str, caller: Installer, database: DatabaseOf, now: Now) -> ClaimCodeOut:
+def new_claim_code(request: Request, device_id: str, caller: Installer, database: DatabaseOf, now: Now) -> ClaimCodeOut:
     """A code that the box trades for its token at /api/v1/claim; it voids the box's earlier codes."""
     with database.transaction() as session:
+        note(session, request, caller, "box.claim-code", f"device={device_id}", now=now)
         return provisioning.new_claim_code(session, caller.organisation_id, device_id, now=now)
 
 
 @router.put("/{device_id}/settings")
 def set_settings(
-    device_id: str, wanted: DeviceSettings, caller: Administrator, database: DatabaseOf, now: Now
+    request: Request, device_id: str, wanted: DeviceSettings, caller: Administrator, database: DatabaseOf, now: Now
 ) -> DeviceOut:
     """Set what the box is told, how it must show who it is, and how much it may send in a day."""
     with database.transaction() as session:
         provisioning.set_settings(session, caller.organisation_id, device_id, wanted, now=now)
+        told = wanted.model_dump(exclude={"configuration"})
+        note(session, request, caller, "box.settings", f"device={device_id}", now=now, detail=told)
         return queries.device(session, caller.organisation_id, device_id)
 
 

@@ -25,7 +25,7 @@ from server.accounts.places import sight_of
 from server.database import Database
 from server.edge import DatabaseOf, Moment, Now, StoreOf
 from server.errors import InvalidError
-from server.events import exports, queries, service
+from server.events import exports, queries, service, verdicts
 from server.events.schemas import (
     DifferenceOut,
     DiffOut,
@@ -94,6 +94,27 @@ def _place(before: str) -> tuple[dt.datetime, str]:
         return dt.datetime.fromisoformat(moment).astimezone(dt.UTC), event_id
     except (ValueError, OverflowError):  # the last: a day before the first or after the last of the calendar
         raise InvalidError("`before` is not what a page gave as `next`", code="before") from None
+
+
+@router.get("/verdicts", responses={200: {"content": {"text/csv": {"schema": {"type": "string"}}}}})
+def read_verdicts(
+    request: Request,
+    caller: Reviewer,
+    database: DatabaseOf,
+    now: Now,
+    form: Annotated[verdicts.VerdictFormat, Query(alias="format")] = "json",
+    since: Annotated[Moment | None, Query(alias="from")] = None,
+    until: Annotated[Moment | None, Query(alias="to")] = None,
+) -> Response:
+    """Every event that somebody confirmed or called a false alarm, with the detector's figures: to tune it on."""
+    with database.transaction() as session:
+        rows = list(verdicts.verdicts(session, caller.organisation_id, since=since, until=until))
+        detail = {"format": form, "events": len(rows)}
+        audit.record(session, caller, "export", "verdicts", now=now, address=address_of(request), detail=detail)
+    content = verdicts.as_csv(rows) if form == "csv" else orjson.dumps({"items": rows})
+    headers = {"Content-Disposition": f'attachment; filename="verdicts-{now:%Y%m%dT%H%M%SZ}.{form}"'}
+    media_type = "text/csv; charset=utf-8" if form == "csv" else "application/json"
+    return Response(content, headers=headers, media_type=media_type)
 
 
 @router.get("/{event_id}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime as dt
 from collections.abc import Callable, Sequence
 from typing import Annotated, cast
 
@@ -50,7 +51,7 @@ def replay_all(request: Request, caller: JobManager, database: DatabaseOf, now: 
     """Try all dead letters again at once."""
     with database.reading() as session:
         dead = sorted(failures.dead(session))
-    return _replay(request, caller, database, dead, now)
+    return replay(request, caller, database, dead, now)
 
 
 @router.post("/jobs/failures/{device_id}/replay")
@@ -59,10 +60,13 @@ def replay_one(request: Request, device_id: DeviceId, caller: JobManager, databa
     with database.reading() as session:
         if session.get(JobFailure, device_id) is None:
             raise NotFoundError(f"No work of a box {device_id!r} fails")
-    return _replay(request, caller, database, [device_id], now)
+    return replay(request, caller, database, [device_id], now)
 
 
-def _replay(request: Request, caller: Caller, database: Database, device_ids: Sequence[str], now: Now) -> ReplayOut:
+def replay(
+    request: Request, caller: Caller, database: Database, device_ids: Sequence[str], now: dt.datetime
+) -> ReplayOut:
+    """Try boxes again at once, and say so to the audit log."""
     state = request.app.state
     with database.transaction() as session:
         replayed = failures.forget(session, device_ids)

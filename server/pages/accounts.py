@@ -6,11 +6,10 @@ Forms post here; what they show once (a code, a key) is in the answer itself, ev
 from __future__ import annotations
 
 import datetime as dt
-from typing import Annotated, Any, Literal, TypeVar, cast
+from typing import Annotated, Any, Literal, cast
 
 from fastapi import APIRouter, Form, Query, Request
-from pydantic import BaseModel, ValidationError
-from starlette.responses import HTMLResponse, RedirectResponse, Response
+from starlette.responses import HTMLResponse, Response
 
 from server.accounts import audit, passwords, users
 from server.accounts.access import AnyCaller, AuditReader, Caller, UserManager
@@ -20,9 +19,10 @@ from server.accounts.schemas import ApiKeyIn, UserChange, UserIn
 from server.accounts.service import keep_preferences
 from server.database import Database
 from server.edge import DatabaseOf, Now
-from server.errors import ForbiddenError, InvalidError, ProblemError
+from server.errors import ForbiddenError, ProblemError
 from server.models import User
 from server.pages import queries
+from server.pages.forms import Text, back, checked
 from server.pages.routes import answer
 from server.wording import marked
 
@@ -52,27 +52,12 @@ PERMISSION_WORDS: dict[Permission, str] = {
     "jobs.manage": marked("see and replay work that fails, run events again"),
 }
 
-Text = Annotated[str, Form(max_length=500)]
-M = TypeVar("M", bound=BaseModel)
-
-
-def _checked(model: type[M], **fields: object) -> M:
-    """A form's fields as the API would take them."""
-    try:
-        return model.model_validate(fields)
-    except ValidationError as error:
-        first = error.errors()[0]
-        raise InvalidError(f"{'.'.join(map(str, first['loc']))}: {first['msg']}") from None
-
-
-def _back(path: str) -> Response:
-    return RedirectResponse(path, 303)
-
 
 def _page(request: Request, template: str, caller: Caller, database: Database, context: dict[str, Any]) -> HTMLResponse:
     with database.reading() as session:
         change = queries.last_change(session, caller.organisation_id)
-    return answer(request, template, caller, template.removesuffix(".html"), change, context)
+    section = template.removesuffix(".html")
+    return answer(request, template, caller, section if section == "account" else "admin", change, context)
 
 
 # --- one's own account
@@ -117,7 +102,7 @@ def change_preferences(
     kept = Preferences(language or None, units, caller.preferences.views)
     with database.transaction() as session:
         keep_preferences(session, caller, kept)
-    return _back("/account?said=saved")
+    return back("/account?said=saved")
 
 
 @router.post("/account/password")
@@ -134,7 +119,7 @@ def change_password(
             users.set_password(session, caller, stored, now=now)
     except ProblemError as error:
         return _account(request, caller, database, problem=error)
-    return _back("/account?said=password")
+    return back("/account?said=password")
 
 
 @router.post("/account/totp")
@@ -156,7 +141,7 @@ def confirm_totp(request: Request, caller: AnyCaller, database: DatabaseOf, now:
             users.confirm_totp(session, caller, code, now=now)
     except ProblemError as error:
         return _account(request, caller, database, problem=error)
-    return _back("/account?said=totp")
+    return back("/account?said=totp")
 
 
 @router.post("/account/totp/end")
@@ -167,7 +152,7 @@ def end_totp(request: Request, caller: AnyCaller, database: DatabaseOf, now: Now
             users.end_totp(session, caller, code, now=now)
     except ProblemError as error:
         return _account(request, caller, database, problem=error)
-    return _back("/account?said=totp-off")
+    return back("/account?said=totp-off")
 
 
 # --- people and keys
@@ -220,7 +205,7 @@ def add_user(
 ) -> Response:
     """Add somebody and show the link with which they sign in first."""
     try:
-        wanted = _checked(UserIn, email=email, name=name, role=role)
+        wanted = checked(UserIn, email=email, name=name, role=role)
         with database.transaction() as session:
             user, code = users.add_user(session, caller.organisation_id, caller, wanted, now=now)
     except ProblemError as error:
@@ -244,12 +229,12 @@ def _change(
     request: Request, caller: Caller, database: Database, user_id: str, now: dt.datetime, **fields: object
 ) -> Response:
     try:
-        wanted = _checked(UserChange, **fields)
+        wanted = checked(UserChange, **fields)
         with database.transaction() as session:
             users.change_user(session, caller, user_id, wanted, now=now)
     except ProblemError as error:
         return _users(request, caller, database, problem=error)
-    return _back("/users")
+    return back("/users")
 
 
 @router.post("/users/{user_id}/role")
@@ -283,7 +268,7 @@ def add_key(
 ) -> Response:
     """Make a key and show it once."""
     try:
-        wanted = _checked(ApiKeyIn, name=name, scopes=scopes or [])
+        wanted = checked(ApiKeyIn, name=name, scopes=scopes or [])
         with database.transaction() as session:
             key, token = users.add_key(session, caller, wanted, now=now)
     except ProblemError as error:
@@ -298,7 +283,7 @@ def revoke_key(key_id: str, caller: UserManager, database: DatabaseOf, now: Now)
     """End a key."""
     with database.transaction() as session:
         users.revoke_key(session, caller, key_id, now=now)
-    return _back("/users")
+    return back("/users")
 
 
 # --- the log

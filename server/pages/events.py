@@ -6,8 +6,10 @@ import datetime as dt
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
+from sqlalchemy import or_, select
 from sqlalchemy.orm import Session
 
 from server.contradictions.queries import contradictions
@@ -15,14 +17,18 @@ from server.contradictions.schemas import ContradictionOut
 from server.events import queries
 from server.events.exports import utc_t0
 from server.models import Device, Event, EventAction, EventRevision, Vehicle
+from server.pages.frame import MEASURES, Measures
 from server.pages.words import KINDS, State
-from server.reports.figures import Row, basis_rows, number_rows, risk_rows, sentences
+from server.reports.figures import Row, basis_rows, in_unit, number_rows, risk_rows, sentences
 from server.reports.words import Language, Words
 from server.wording import marked
 
 SHOWN = 200
 NEWS_FOR = dt.timedelta(days=14)
 """How long a crash that nobody has looked at stays in the list of what needs attention."""
+
+ID_LETTERS = 6
+"""So much of an id must be typed to search by it: less is the word of a name."""
 
 SEVERITIES: dict[str, State] = {"crash": "alarm", "rollover": "alarm", "parked_impact": "attention"}
 REVIEWS = {"confirmed": marked("Confirmed"), "false_alarm": marked("False alarm"), None: marked("Open")}
@@ -77,15 +83,17 @@ class EventPage:
     words: Words
     """Of the report, in the reader's language."""
     contradictions: Sequence[ContradictionOut]
+    per_kmh: float
+    """From km/h to the reader's unit, which `words` names."""
 
     @property
     def event(self) -> Event:
         return self.line.event
 
-    @property
-    def told(self) -> Mapping[str, Any]:
-        """The crash JSON of the newest revision."""
-        return self.document["event"]
+    @cached_property
+    def told(self) -> dict[str, Any]:
+        """The crash JSON of the newest revision, speeds in the reader's unit."""
+        return in_unit(self.document["event"], self.per_kmh)
 
     @property
     def at(self) -> dt.datetime:
@@ -93,15 +101,15 @@ class EventPage:
 
     @property
     def sentences(self) -> list[str]:
-        return sentences(dict(self.document), self.words, self.at)
+        return sentences({**self.document, "event": self.told}, self.words, self.at)
 
     @property
     def numbers(self) -> list[Row]:
-        return number_rows(dict(self.told), self.words)
+        return number_rows(self.told, self.words)
 
     @property
     def risks(self) -> list[tuple[str, str, str, str, str]]:
-        return risk_rows(dict(self.told), self.words)
+        return risk_rows(self.told, self.words)
 
     @property
     def basis(self) -> list[tuple[str, str]]:
@@ -129,6 +137,12 @@ def _on_circle(angle_deg: float) -> tuple[float, float]:
     return 100.0 * math.sin(angle), -100.0 * math.cos(angle)
 
 
+def line_of(session: Session, event: Event) -> Line:
+    """An event as a list shows it."""
+    vehicle = session.get(Vehicle, event.vehicle_id) if event.vehicle_id else None
+    return Line(event, vehicle, session.get_one(Device, event.device_id))
+
+
 def lines(
     session: Session,
     organisation_id: str,
@@ -151,26 +165,42 @@ def lines(
     return [Line(event, vehicle, device) for event, vehicle, device in session.execute(query)]
 
 
+def search(session: Session, organisation_id: str, text: str, *, limit: int = 20) -> list[Line]:
+    """Events by the beginning of their id, and by what was written of them: a note, the reason of a hold (a claim)."""
+    found = [column.icontains(text, autoescape=True) for column in (Event.note, Event.hold_reason)]
+    if len(text) >= ID_LETTERS and set(text.lower()) <= set("0123456789abcdef"):
+        found.append(Event.id.startswith(text.lower()))
+    query = (
+        select(Event, Vehicle, Device)
+        .join(Device, Device.id == Event.device_id)
+        .outerjoin(Vehicle, Vehicle.id == Event.vehicle_id)
+        .where(Event.organisation_id == organisation_id, *queries.LISTED, or_(*found))
+        .order_by(Event.at.desc(), Event.id)
+        .limit(limit)
+    )
+    return [Line(event, vehicle, device) for event, vehicle, device in session.execute(query)]
+
+
 def unreviewed(session: Session, organisation_id: str, *, now: dt.datetime) -> list[Line]:
     """Severe events of late that nobody has looked at."""
     found = lines(session, organisation_id, severe=True, since=now - NEWS_FOR)
     return [line for line in found if line.event.verdict is None]
 
 
-def event_page(session: Session, organisation_id: str, event_id: str, language: Language = "en") -> EventPage:
-    """One event."""
+def event_page(
+    session: Session, organisation_id: str, event_id: str, language: Language = "en", measures: Measures | None = None
+) -> EventPage:
+    """One event, in a language and in the units of its reader."""
+    measures = measures or MEASURES["metric"]
     event = queries.event_of(session, organisation_id, event_id)
     revision = queries.revision_of(session, event)
     return EventPage(
-        Line(
-            event,
-            session.get(Vehicle, event.vehicle_id) if event.vehicle_id else None,
-            session.get_one(Device, event.device_id),
-        ),
+        line_of(session, event),
         revision,
         queries.document(revision),
         queries.revisions(session, event.id),
         queries.actions(session, event.id),
-        Words(language),
+        Words(language, measures.speed),
         contradictions(session, event),
+        measures.per_mps / 3.6,
     )

@@ -15,7 +15,9 @@ from server.accounts.places import Sight, seen, sight_of
 from server.accounts.preferences import View
 from server.accounts.service import keep_preferences
 from server.edge import DatabaseOf, Now, SettingsOf
+from server.formats.spreadsheet import spreadsheet_text
 from server.pages import frame, queries
+from server.pages.events import search
 from server.pages.fleet import PERIODS, SHOWN, Fleet, Row, Show, Sort, Wanted, fleet, places, whole
 from server.pages.language import catalogue
 from server.pages.routes import answer, map_settings
@@ -56,9 +58,11 @@ def vehicles_page(request: Request, caller: Reader, database: DatabaseOf, now: N
     with database.reading() as session:
         change = queries.last_change(session, caller.organisation_id)
         found = fleet(session, caller.organisation_id, wanted, now=now)
-    if wanted.q and found.found == 1:
-        return RedirectResponse(found.rows[0].url, 303)  # type: ignore[return-value]
-    context = _context(found, caller, "vehicles", "/vehicles")
+        events = search(session, caller.organisation_id, wanted.q) if wanted.q else []
+    if wanted.q and found.found + len(events) == 1:
+        one = found.rows[0].url if found.found else events[0].url
+        return RedirectResponse(one, 303)  # type: ignore[return-value]
+    context = {**_context(found, caller, "vehicles", "/vehicles"), "events": events}
     return answer(request, "vehicles.html", caller, "vehicles", change, context)
 
 
@@ -100,10 +104,10 @@ def fleet_file(request: Request, caller: Reader, database: DatabaseOf, now: Now,
     for row in rows:
         out.writerow(
             [
-                _cell(row.vehicle_name),
-                _cell(row.plate),
+                spreadsheet_text(row.vehicle_name),
+                spreadsheet_text(row.plate),
                 row.vehicle_class or "",
-                _cell(row.device_name),
+                spreadsheet_text(row.device_name),
                 row.standing.headline,
                 row.standing.percent if row.device_id else "",
                 "" if row.standing.sigma_deg is None else round(row.standing.sigma_deg, 2),
@@ -120,12 +124,6 @@ def fleet_file(request: Request, caller: Reader, database: DatabaseOf, now: Now,
 def _where(row: Row, sight: Sight) -> tuple[float | str, float | str]:
     place = seen(row.lat_deg, row.lon_deg, sight)
     return ("", "") if place is None else (place.lat_deg, place.lon_deg)
-
-
-def _cell(text: str | None) -> str:
-    """A name as a spreadsheet takes it for text, never for a formula."""
-    text = text or ""
-    return f"'{text}" if text.startswith(("=", "+", "-", "@", "\t", "\r")) else text
 
 
 @router.get("/fleet/places")

@@ -28,12 +28,22 @@ SECTIONS = (
     Section("vehicles", "/vehicles", "car", marked("Vehicles")),
     Section("events", "/events", "impact", marked("Events")),
     Section("install", "/install", "wrench", marked("Install"), "install"),
+    Section("trips", "/trips", "way", marked("Trips")),
     Section("alerts", "/alerts", "bell", marked("Alerts")),
     Section("workbench", "/workbench", "bench", marked("Workbench"), "raw.read"),
-    Section("users", "/users", "people", marked("People"), "users.manage"),
-    Section("audit", "/audit", "list", marked("Audit"), "audit.read"),
-    Section("privacy", "/privacy", "shield", marked("Privacy"), "privacy.manage"),
+    Section("admin", "/admin", "gear", marked("Administration"), "fleet.write"),
 )
+ADMINISTRATION = (
+    Section("overview", "/admin", "list", marked("Overview"), "fleet.write"),
+    Section("boxes", "/admin/boxes", "box", marked("Boxes"), "fleet.write"),
+    Section("rules", "/admin/alerts", "bell", marked("Rules and channels"), "fleet.write"),
+    Section("work", "/admin/work", "list", marked("Work"), "jobs.manage"),
+    Section("versions", "/admin/versions", "list", marked("Versions"), "jobs.manage"),
+    Section("users", "/users", "people", marked("People"), "users.manage"),
+    Section("privacy", "/privacy", "shield", marked("Privacy"), "privacy.manage"),
+    Section("audit", "/audit", "list", marked("Audit"), "audit.read"),
+)
+"""The pages of the last section; each shows the others above it."""
 ON_PHONE = 3
 
 
@@ -61,10 +71,20 @@ def sections(caller: Caller) -> list[Section]:
     return seen
 
 
+def administration(caller: Caller) -> list[Section]:
+    """The administration's pages that the caller may see."""
+    return [page for page in ADMINISTRATION if caller.may(page.permission)]
+
+
 def preferences_of(connection: HTTPConnection) -> Preferences:
     """What the caller chose; nothing where nobody is signed in."""
     caller: Caller | None = getattr(connection.state, "caller", None)
     return Preferences() if caller is None else caller.preferences
+
+
+def measures_of(connection: HTTPConnection) -> Measures:
+    """The units that the account says."""
+    return MEASURES[preferences_of(connection).units]
 
 
 def language_of(connection: HTTPConnection) -> Language:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import datetime as dt
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Depends, Form, Request
+from fastapi import APIRouter, Depends, Request
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 from starlette.responses import HTMLResponse, RedirectResponse, Response
@@ -18,6 +18,7 @@ from server.errors import ForbiddenError, InvalidError, ProblemError
 from server.models import Event, Vehicle
 from server.models.privacy import DATA_CLASSES
 from server.pages import queries
+from server.pages.forms import Text, day
 from server.pages.routes import answer
 from server.privacy import erasure, policy
 from server.wording import marked
@@ -56,8 +57,6 @@ THINGS = {
     "name and plate": marked("name and plate"),
 }
 
-Text = Annotated[str, Form(max_length=500)]
-
 
 @router.get("/privacy")
 def privacy_page(request: Request, caller: PrivacyManager, database: DatabaseOf, now: Now, said: str = "") -> Response:
@@ -83,7 +82,7 @@ def _page(
         context = _context(session, caller, now)
         change = queries.last_change(session, caller.organisation_id)
     shown = {"done": said, "error": None if problem is None else problem.detail, "plan": plan}
-    page = answer(request, "privacy.html", caller, "privacy", change, {**context, **shown})
+    page = answer(request, "privacy.html", caller, "admin", change, {**context, **shown})
     page.status_code = 200 if problem is None else problem.status
     return page
 
@@ -160,7 +159,7 @@ def erase(
     try:
         kind, subject_id = _subject(caller, subject)
         # Days of the calendar, UTC: the last one is included.
-        first, last = _day(since), _day(until, following=1)
+        first, last = day(since), day(until, following=1)
         period = {"since": first, "until": last}
         if kind == "user" and (first or last):
             raise InvalidError("Only a vehicle's data can be erased by the day")
@@ -186,13 +185,3 @@ def _subject(caller: Caller, subject: str) -> tuple[str, str]:
     if kind == "user" and not caller.may("users.manage"):
         raise ForbiddenError("Needs the permission users.manage")
     return kind, subject_id
-
-
-def _day(text: str, following: int = 0) -> dt.datetime | None:
-    if not text.strip():
-        return None
-    try:
-        day = dt.datetime.combine(dt.date.fromisoformat(text.strip()), dt.time(), dt.UTC)
-        return day + dt.timedelta(days=following)
-    except (ValueError, OverflowError):
-        raise InvalidError(f"{text[:20]!r} is no day such as 2026-03-01") from None

@@ -12,7 +12,7 @@ from fastapi import APIRouter, Form, Query, Request
 from sqlalchemy.orm import Session
 from starlette.responses import FileResponse, HTMLResponse, RedirectResponse, Response
 
-from server.accounts.access import Caller, Installer, Reader, Reviewer, look_at_places
+from server.accounts.access import Caller, Installer, LocationReader, Reader, Reviewer, look_at_places
 from server.accounts.places import sight_of
 from server.database import Database
 from server.edge import DatabaseOf, Now, SettingsOf
@@ -23,8 +23,10 @@ from server.installations import service as installations
 from server.installations.schemas import ManualMounting
 from server.pages import events as event_queries
 from server.pages import frame, queries
+from server.pages.compare import comparison
 from server.pages.templating import renderer
 from server.pages.words import BEGINNINGS, CLASSES, STATUSES
+from server.reports.words import Words
 from server.settings import Settings
 from server.wording import marked
 
@@ -137,9 +139,28 @@ def event(request: Request, event_id: str, caller: Reader, settings: SettingsOf,
     look_at_places(request, caller)
     with database.reading() as session:
         change = queries.last_change(session, caller.organisation_id)
-        page = event_queries.event_page(session, caller.organisation_id, event_id, frame.language_of(request))
+        language, measures = frame.language_of(request), frame.measures_of(request)
+        page = event_queries.event_page(session, caller.organisation_id, event_id, language, measures)
     context = {"page": page, "actions": event_queries.ACTIONS, **map_settings(settings)}
     return answer(request, "event.html", caller, "events", change, context)
+
+
+@router.get("/events/{event_id}/compare")
+def compare(
+    request: Request,
+    event_id: str,
+    caller: LocationReader,
+    database: DatabaseOf,
+    before: Annotated[int, Query(ge=1, le=1_000_000)],
+    after: Annotated[int, Query(ge=1, le=1_000_000)],
+) -> HTMLResponse:
+    """Two revisions of an event side by side."""
+    measures = frame.measures_of(request)
+    words = Words(frame.language_of(request), measures.speed)
+    with database.reading() as session:
+        change = queries.last_change(session, caller.organisation_id)
+        found = comparison(session, caller.organisation_id, event_id, before, after, words, measures.per_mps / 3.6)
+    return answer(request, "event-compare.html", caller, "events", change, {"found": found})
 
 
 @router.post("/events/{event_id}/review")
@@ -226,6 +247,7 @@ def answer(
         "section": section,
         "sections": frame.sections(caller),
         "on_phone": frame.ON_PHONE,
+        "administration": frame.administration(caller),
         "csrf_token": caller.csrf_token or "",
         "signed_in": caller.kind == "session",
         "last_change": last_change,

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import datetime as dt
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, cast
 
 from server.reports.words import Words
 
@@ -19,6 +20,25 @@ def clock_time(at: dt.datetime, words: Words) -> str:
 
 def hours(clock: int, words: Words) -> str:
     return f"{clock} {words('oclock')}" if words.language == "en" else f"{words('oclock')} {clock}"
+
+
+def in_unit(told: Any, per_kmh: float) -> Any:
+    """The crash JSON with every speed of a member `..._kmh` in another unit; names stay."""
+    if isinstance(told, Mapping):
+        members = cast("Mapping[str, Any]", told)
+        return {
+            name: _scaled(value, per_kmh) if name.endswith("_kmh") else in_unit(value, per_kmh)
+            for name, value in members.items()
+        }
+    return [in_unit(one, per_kmh) for one in cast("list[Any]", told)] if isinstance(told, list) else told
+
+
+def _scaled(value: Any, factor: float) -> Any:
+    if isinstance(value, Mapping):
+        return {name: _scaled(part, factor) for name, part in cast("Mapping[str, Any]", value).items()}
+    if isinstance(value, list):
+        return [_scaled(part, factor) for part in cast("list[Any]", value)]
+    return None if value is None else factor * value
 
 
 def sentences(document: dict[str, Any], words: Words, at: dt.datetime) -> list[str]:
@@ -101,29 +121,29 @@ def number_rows(event: dict[str, Any], words: Words) -> list[Row]:
         return rows
     pulse, indices = event["pulse"], event["indices"]
     for key, name in (("n_dvx", "longitudinal"), ("n_dvy", "lateral"), ("n_dvr", "resultant")):
-        add(key, event["delta_v_kmh"][name], event["delta_v_interval95_kmh"][name], "km/h")
+        add(key, event["delta_v_kmh"][name], event["delta_v_interval95_kmh"][name], words.speed)
     add("n_tmax", event["time_of_max_ms"], None, "ms")
     add("n_pdof", event["pdof_deg"], event["pdof_interval95_deg"], "°")
     add("n_clock", event["pdof_clock"], None, words("oclock"), 0)
-    add("n_speed", event["impact_speed_kmh"], event["impact_speed_interval95_kmh"], "km/h")
-    add("n_rebound", event["rebound_kmh"], event["rebound_interval95_kmh"], "km/h")
+    add("n_speed", event["impact_speed_kmh"], event["impact_speed_interval95_kmh"], words.speed)
+    add("n_rebound", event["rebound_kmh"], event["rebound_interval95_kmh"], words.speed)
     add("n_peak", pulse["peak_g"], None, f"g, {words('at_least')}" if pulse["peak_is_lower_bound"] else "g")
     rows.append((words("n_filter"), words.peak_filter(pulse["filter"]), "\N{EN DASH}", ""))
     add("n_mean", pulse["mean_g"], None, "g")
     add("n_duration", pulse["duration_ms"], None, "ms", 0)
-    add("n_measured", pulse["measured_delta_v_kmh"], None, "km/h")
-    add("n_gps", pulse["gps_delta_v_kmh"], None, "km/h")
+    add("n_measured", pulse["measured_delta_v_kmh"], None, words.speed)
+    add("n_gps", pulse["gps_delta_v_kmh"], None, words.speed)
     # Numbered in order of time; the strongest, whose numbers stand above, keeps its own.
     times = sorted([event["t0_s"], *(second["t0_s"] for second in event["second_impacts"])])
     for second in event["second_impacts"]:
         k = times.index(second["t0_s"]) + 1
-        add("n_second", second["resultant_kmh"], second["resultant_interval95_kmh"], "km/h", k=k)
+        add("n_second", second["resultant_kmh"], second["resultant_interval95_kmh"], words.speed, k=k)
         add("n_second_pdof", second["pdof_deg"], second["pdof_interval95_deg"], "°", k=k)
     add("n_roll", event["rollover_angle_deg"], event["rollover_angle_interval95_deg"], "°")
     add("n_asi", indices["asi_en1317_2010"], None, "", 2)
     add("n_asi98", indices["asi_en1317_1998"], None, "", 2)
     add("n_olc", indices["olc_g"], None, "g")
-    add("n_thiv", indices["thiv_kmh"], None, "km/h")
+    add("n_thiv", indices["thiv_kmh"], None, words.speed)
     add("n_phd", indices["phd_g"], None, "g")
     return rows
 

@@ -254,15 +254,16 @@ _MONTHS = {
 
 
 class Words:
-    """One language: sentences, numbers, dates."""
+    """One language: sentences, numbers, dates; `speed` is the unit in which speeds are said."""
 
-    def __init__(self, language: Language) -> None:
+    def __init__(self, language: Language, speed: str = "km/h") -> None:
         self.language: Language = language
+        self.speed = speed
         self._catalogue = ENGLISH if language == "en" else ITALIAN
 
     def __call__(self, key: str, **values: object) -> str:
         """A sentence with its values put in."""
-        return self._catalogue[key].format(**values)
+        return self._catalogue[key].replace("km/h", self.speed).format(**values)
 
     def number(self, value: float | None, digits: int = 1, *, sign: bool = False) -> str:
         """Fixed decimals in the language's way, a real minus sign, never "-0"."""

@@ -29,7 +29,7 @@ KEYWORDS = {"_": None, "gettext": None, "ngettext": (1, 2), "marked": None}
 # What is the same in every language: units, names of formats and standards, symbols.
 SAME = re.compile(
     r"j k|Enter|Esc|Scatola|km/h|mph|PDF|CSV|JSON|MCAP|Parquet|49 CFR 563|SHA-256|UTC|GPS|API|Rapporto, PDF|Delta-V|Hz|"
-    r"PUT /api/\S+|POST /api/\S+|m/s²|[θφψ]|\b(?:km|mi|ms|min|s|h|g|m|x|y|z|V|A)\b"
+    r"PUT /api/\S+|POST /api/\S+|scatola doctor|m/s²|[θφψ]|\b(?:km|mi|MB|GB|ms|min|s|h|g|m|x|y|z|V|A)\b"
 )
 TEXT_ATTRIBUTE = re.compile(r"""\b(?:title|aria-label|placeholder|alt|data-label|data-empty)="([^"]*)\"""")
 NEST = re.compile(r"\{#.*?#\}|\{%.*?%\}|\{\{.*?\}\}", re.DOTALL)

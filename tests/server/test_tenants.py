@@ -491,7 +491,10 @@ BODIES = {
     "PUT /api/v1/vehicles/{vehicle_id}/theft": {"armed": True},
     "POST /vehicles/{vehicle_id}/theft": {"armed": "true"},
 }
-QUERIES = {"/api/v1/events/{event_id}/diff": {"before": 1}}
+QUERIES = {
+    "/api/v1/events/{event_id}/diff": {"before": 1},
+    "/events/{event_id}/compare": {"before": 1, "after": 1},
+}
 
 
 def everything(database: Database, own: str) -> dict[str, list[str]]:
@@ -522,8 +525,8 @@ def test_an_administrator_reaches_nothing_of_another_organisation(app, client, t
                 answer = client.get(
                     path, params={"device": tenants.theirs["device"], "vehicle": tenants.theirs["vehicle"]}
                 )
-                # The log repeats the queries that this very test made.
-                their_ids = () if "audit" in path else tenants.theirs.values()
+                # The log, whose newest entries /admin shows too, repeats what this very test asked.
+                their_ids = () if "audit" in path or path == "/admin" else tenants.theirs.values()
                 for told in ("of b", "b.test", *their_ids):
                     assert told not in answer.text, (path, told)
             continue
@@ -628,6 +631,16 @@ def test_each_role_does_what_it_may_and_no_more(app, serve, tenants, clock):
                 ("POST", "/api/v1/accident-claims"),
                 ("POST", "/api/v1/analyses"),
                 ("POST", "/api/v1/analyses/{analysis_id}/cancel"),
+                ("POST", "/api/v1/alert-channels/{channel_id}/test"),
+                ("POST", "/admin/boxes"),
+                ("POST", "/admin/boxes/{device_id}/claim-code"),
+                ("POST", "/admin/boxes/{device_id}/token"),
+                ("POST", "/admin/boxes/{device_id}/settings"),
+                ("POST", "/admin/alerts/rules"),
+                ("POST", "/admin/alerts/channels"),
+                ("POST", "/admin/alerts/channels/{channel_id}/test"),
+                ("POST", "/admin/work/replay"),
+                ("POST", "/admin/versions"),
             ):
                 answer = browser.request(
                     method, filled(path, tenants.mine), json={}, headers={"X-CSRF-Token": opened.csrf_token}

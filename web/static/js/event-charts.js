@@ -4,19 +4,21 @@ import uPlot from "../vendor/uplot/uplot.mjs";
 import { eventDocument, forgetDocuments } from "./event-document.js";
 import { chartAxis, colour } from "./palette.js";
 import { whenSeen } from "./seen.js";
-import { t } from "./words.js";
+import { SPEED, t } from "./words.js";
 
 const HEIGHT = 210;
 const SIGMAS_95 = 1.96;
+/** km/h in the reader's unit. @param {Column} values @returns {Column} */
+const speeds = (values) => values.map((v) => v === null ? v : v * SPEED.perMps / 3.6);
 
 class EventCharts extends HTMLElement {
   /** @type {uPlot[]} */ #plots = [];
 
   connectedCallback() {
     this.innerHTML = `
-      <p class="chart-head"><b>${t("Change of velocity")} <span class="unit">km/h, 95 %</span></b><span data-keys="dv"></span></p><div class="plot" data-plot="dv"></div>
+      <p class="chart-head"><b>${t("Change of velocity")} <span class="unit">${SPEED.unit}, 95 %</span></b><span data-keys="dv"></span></p><div class="plot" data-plot="dv"></div>
       <p class="chart-head"><b>${t("Acceleration, gravity removed")} <span class="unit">g</span></b><span data-keys="pulse"></span></p><div class="plot" data-plot="pulse"></div>
-      <p class="chart-head"><b>${t("Speed")} <span class="unit">km/h, 95 %</span></b></p><div class="plot" data-plot="speed"></div>
+      <p class="chart-head"><b>${t("Speed")} <span class="unit">${SPEED.unit}, 95 %</span></b></p><div class="plot" data-plot="speed"></div>
       <p class="chart-words" role="status">${t("Reading the curves")}</p>`;
     whenSeen(this, () => void this.#draw());
     document.addEventListener("scatola:change", this.#onChange);
@@ -46,10 +48,10 @@ class EventCharts extends HTMLElement {
     const { pulse, trajectory } = found.curves;
     if (pulse) {
       const ms = pulse.t_s.map((t) => (t === null ? null : 1000 * t));
-      const after = pulse.sigma_kmh.map((sigma, k) => ((pulse.t_s[k] ?? -1) >= 0 ? sigma : 0));
+      const after = speeds(pulse.sigma_kmh).map((sigma, k) => ((pulse.t_s[k] ?? -1) >= 0 ? sigma : 0));
       this.#plot("dv", "ms", ms, [
-        { label: t("longitudinal"), values: pulse.delta_v_kmh_x, stroke: colour("axis-x"), sigma: after },
-        { label: t("lateral"), values: pulse.delta_v_kmh_y, stroke: colour("axis-y"), sigma: after },
+        { label: t("longitudinal"), values: speeds(pulse.delta_v_kmh_x), stroke: colour("axis-x"), sigma: after },
+        { label: t("lateral"), values: speeds(pulse.delta_v_kmh_y), stroke: colour("axis-y"), sigma: after },
       ]);
       /** @type {Curve[]} */
       const curves = [
@@ -64,7 +66,7 @@ class EventCharts extends HTMLElement {
       }
       this.#plot("pulse", "ms", ms, curves);
     }
-    if (trajectory) this.#plot("speed", "s", trajectory.t_s, [{ label: "", values: trajectory.speed_kmh, stroke: colour("track"), sigma: trajectory.speed_sigma_kmh }]);
+    if (trajectory) this.#plot("speed", "s", trajectory.t_s, [{ label: "", values: speeds(trajectory.speed_kmh), stroke: colour("track"), sigma: speeds(trajectory.speed_sigma_kmh) }]);
     words.textContent = t("Time counts from time zero.");
     this.dataset.drawn = String(this.#plots.length);
   }
