@@ -5,7 +5,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 PYTEST_WORKERS ?= 2
 
-.PHONY: help setup run test check bench bench-mounting bench-crash vendor lock clean bench-moved coverage test-faults thesis-figures
+.PHONY: help setup run test check bench bench-mounting bench-service bench-crash vendor lock clean bench-moved coverage test-faults thesis-figures
 .DEFAULT_GOAL := help
 
 help:  ## This list
@@ -33,6 +33,9 @@ check: setup node_modules/ready  ## Lint, types, architecture, JavaScript, migra
 
 bench: setup  ## Speed of the numerics and of the ingest path; WRITE=docs/performance.md keeps the tables
 	$(BIN)/python benchmarks/run.py $(if $(WRITE),--write $(WRITE))
+
+bench-service: setup  ## The service under load, in processes and servers of its own; PARTS=, SHORT=1, WRITE=docs/service-benchmark.md
+	$(BIN)/python benchmarks/service.py $(PARTS) $(if $(SHORT),--short) $(if $(WRITE),--write $(WRITE))
 
 bench-mounting: setup  ## Over 2000 simulated drives: docs/mounting-benchmark.md (resumable, half an hour)
 	$(BIN)/python benchmarks/mounting.py
