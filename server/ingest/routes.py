@@ -57,7 +57,7 @@ _BODY = {
 }
 
 
-@router.post(PATH, status_code=202, openapi_extra=_BODY, responses=described(409, 413, 415, 429))
+@router.post(PATH, status_code=202, openapi_extra=_BODY, responses=described(408, 409, 413, 415, 429, 503, 507))
 async def upload(
     request: Request,
     caller: DeviceCaller,
