@@ -29,10 +29,10 @@ from tests.e2e.servers import OwnPostgres, OwnRabbit
 
 PREFACE = """# The service under load
 
-Written by `make bench-service WRITE=docs/service-benchmark.md`; `benchmarks/service.py` has the parts, each selectable.
-Every table says on what machine and under which load it was taken: where the load average is above one or two, other work
-shared the cores, and rates and latencies are those of what was left. "By processor time" is what one core gives when
-nothing else wants it: the readings over the processor time that the API process spent on them.
+Written by `make bench-service WRITE=docs/service-benchmark.md`; `benchmarks/service.py` has the parts, each
+selectable. Every table says on what machine and under which load it was taken: where the load average is above one or
+two, other work shared the cores, and rates and latencies are those of what was left. "By processor time" is what one
+core gives when nothing else wants it: the readings over the processor time that the API process spent on them.
 """
 PARTS = ("ingest", "rows", "worker", "crash", "restore")
 
@@ -55,7 +55,8 @@ def main() -> None:
         print(f"\n{title}")
         print_rows(rows)
         machine = f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"
-        told = f"{dt.datetime.now(dt.UTC):%Y-%m-%d}, {machine}; load average {before:.1f} before, {os.getloadavg()[0]:.1f} after"
+        loads = f"load average {before:.1f} before, {os.getloadavg()[0]:.1f} after"
+        told = f"{dt.datetime.now(dt.UTC):%Y-%m-%d}, {machine}; {loads}"
         how = f"`python benchmarks/service.py {part}{' --short' if args.short else ''}`"
         if args.write:
             _keep(args.write, title, f"{markdown(title, rows)}\n{told}; {how}\n")
@@ -94,17 +95,21 @@ def rows_side_by_side(args: argparse.Namespace) -> tuple[str, list[Row]]:
     with load.installation("PostgreSQL") as api:
         ours = asyncio.run(load.saturate(api, "compact", seconds))
         bytes_ours = api.stored_bytes() / ours.readings
-    with service_rows.serving() as rival:
-        theirs = asyncio.run(load.saturate(rival, "compact", seconds))
-        bytes_theirs = service_rows.stored_bytes(rival) / theirs.readings
-    return "A row per reading by COPY, side by side", [
+    rows = [
         Row("columns: readings a second", ours.readings_per_s / 1e6, "M/s"),
-        Row("rows: readings a second", theirs.readings_per_s / 1e6, "M/s"),
-        Row("columns over rows", ours.readings_per_s / theirs.readings_per_s, "x", "≥ 10 x"),
-        Row("columns over rows, by the API's processor time", ours.readings_per_cpu_s / theirs.readings_per_cpu_s, "x"),
         Row("columns: bytes per reading on disk, blobs and tables", bytes_ours, "B", "≤ 4 B"),
-        Row("rows: bytes per reading on disk, table and index", bytes_theirs, "B"),
     ]
+    for how, bar in (("row", "≥ 10 x"), ("array", "")):
+        with service_rows.serving(how) as rival:
+            theirs = asyncio.run(load.saturate(rival, "compact", seconds))
+            bytes_theirs = service_rows.stored_bytes(rival) / theirs.readings
+        name = service_rows.WRITERS[how]
+        rows += [
+            Row(f"{name}: readings a second", theirs.readings_per_s / 1e6, "M/s"),
+            Row(f"columns over {name}", ours.readings_per_s / theirs.readings_per_s, "x", bar),
+            Row(f"{name}: bytes per reading on disk, table and index", bytes_theirs, "B"),
+        ]
+    return "A row per reading by COPY, side by side", rows
 
 
 def worker(args: argparse.Namespace) -> tuple[str, list[Row]]:
@@ -151,21 +156,22 @@ def restored(args: argparse.Namespace) -> tuple[str, list[Row]]:
         with load.installation(database) as api, OwnPostgres(load.OTHERS) as other:
             into = {"database_url": other.url} if database == "PostgreSQL" else {"database_url": None}
             settings = Settings(data_dir=api.folder / "data", database_url=api.database_url)
-            out, began = api.folder / "backup", dt.datetime.now(dt.UTC)
-
-            async def both(api: load.Api = api, settings: Settings = settings, out: Path = out) -> tuple[str, load.Run]:
-                streaming = asyncio.create_task(load.saturate(api, "compact", seconds, connections=2))
-                await asyncio.sleep(seconds / 3)  # so that there is something to keep
-                taken = await asyncio.to_thread(backup, settings, out, now=began)
-                return taken.content_sha256, await streaming
-
-            content, run = asyncio.run(both())
+            out = api.folder / "backup"
+            content, run = asyncio.run(_backed_up(api, settings, out, seconds))
             back = restore(Settings(data_dir=api.folder / "other", **into), out)
             rows += [
                 Row(f"{database}: batches stored meanwhile", run.batches, ""),
                 Row(f"{database}: equal by content hash", float(back.content_sha256 == content), "", "1"),
             ]
     return "Restore of a backup taken under load", rows
+
+
+async def _backed_up(api: load.Api, settings: Settings, out: Path, seconds: float) -> tuple[str, load.Run]:
+    """Hash of a backup's content, and what was stored meanwhile."""
+    streaming = asyncio.create_task(load.saturate(api, "compact", seconds, connections=2))
+    await asyncio.sleep(seconds / 3)  # so that there is something to keep
+    taken = await asyncio.to_thread(backup, settings, out, now=dt.datetime.now(dt.UTC))
+    return taken.content_sha256, await streaming
 
 
 MEASURES = {"ingest": ingest, "rows": rows_side_by_side, "worker": worker, "crash": crash, "restore": restored}

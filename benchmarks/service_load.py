@@ -18,6 +18,7 @@ from collections.abc import AsyncGenerator, Generator, Iterator
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
+from typing import Self
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
@@ -79,12 +80,15 @@ class Api:
 
     @property
     def url(self) -> str:
+        """Address."""
         return f"http://127.0.0.1:{self.port}"
 
     def cpu_s(self) -> float:
+        """Processor time so far."""
         return cpu_s(self.process.pid)
 
     def memory_mb(self) -> float:
+        """Resident memory."""
         status = Path(f"/proc/{self.process.pid}/status").read_text(encoding="utf-8")
         return int(status.split("VmRSS:")[1].split()[0]) / 1024.0
 
@@ -94,7 +98,10 @@ class Api:
         total = sum(512 * path.stat().st_blocks for path in files)
         engine = make_engine(Settings(data_dir=self.folder / "data", database_url=self.database_url))
         with engine.connect() as connection:
-            tables = "SELECT sum(pg_total_relation_size(c.oid)) FROM pg_class c WHERE relkind = 'r' AND relnamespace = 'public'::regnamespace"
+            tables = (
+                "SELECT sum(pg_total_relation_size(oid)) FROM pg_class "
+                "WHERE relkind = 'r' AND relnamespace = 'public'::regnamespace"
+            )
             total += int(connection.scalar(sa.text(tables)))
         engine.dispose()
         return total
@@ -152,6 +159,7 @@ def installation(database: str, *, broker_url: str | None = None, whole: bool = 
 
 
 def is_ready(api: Api) -> bool:
+    """Whether it answers."""
     try:
         return httpx.get(f"{api.url}/healthz", timeout=2.0, trust_env=False).status_code == 200
     except httpx.TransportError:
@@ -164,7 +172,7 @@ class Connection:
     def __init__(self, port: int) -> None:
         self._port = port
 
-    async def __aenter__(self) -> Connection:
+    async def __aenter__(self) -> Self:
         self._reader, self._writer = await asyncio.open_connection("127.0.0.1", self._port)
         return self
 
@@ -196,21 +204,26 @@ class Run:
 
     @property
     def readings(self) -> int:
+        """Three-axis readings stored."""
         return self.batches * self.readings_each
 
     @property
     def per_s(self) -> float:
+        """Batches a second."""
         return self.batches / self.wall_s
 
     @property
     def readings_per_s(self) -> float:
+        """Readings a second."""
         return self.readings / self.wall_s
 
     @property
     def readings_per_cpu_s(self) -> float:
+        """Readings per second of processor time of the API."""
         return self.readings / self.cpu_s
 
     def quantile(self, share: float) -> float:
+        """So much of them took no longer, s."""
         return float(np.quantile(self.took_s, share))
 
 
@@ -344,6 +357,7 @@ class Streamed:
     memory_mb: list[float] = field(default_factory=list)
 
     def quantile(self, share: float) -> float:
+        """So much of them took no longer, s."""
         return float(np.quantile(self.reports_s, share))
 
 

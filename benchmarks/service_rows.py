@@ -1,4 +1,8 @@
-"""The rival: the same uploads, stored as a row per reading by binary COPY, with no other duty than that."""
+"""The rival: the same uploads, stored as a row per reading by COPY, with no other duty than that.
+
+Two of them: rows handed to the driver one by one, as its documentation shows, and the strongest that we could think of,
+which makes COPY's binary form by array code.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +12,7 @@ import os
 import shutil
 import sys
 import tempfile
+import threading
 from collections.abc import Generator
 from pathlib import Path
 
@@ -27,6 +32,7 @@ from tests.e2e.service import eventually, free_port
 TABLE = (
     """CREATE TABLE reading (device integer, t double precision, fx real, fy real, fz real, PRIMARY KEY (device, t))"""
 )
+WRITERS = {"row": "COPY row by row", "array": "binary COPY by array code"}
 HEAD = b"PGCOPY\n\xff\r\n\x00" + bytes(8)
 # A field is its length and its value, big-endian.
 _ROW = [("fields", ">i2"), ("l0", ">i4"), ("device", ">i4"), ("l1", ">i4"), ("t", ">f8")]
@@ -51,14 +57,19 @@ def app() -> FastAPI:
     local: dict[int, psycopg.Connection[tuple[object, ...]]] = {}
 
     def store(body: bytes, device: int) -> None:
-        import threading
-
         connection = local.get(threading.get_ident())
         if connection is None:
             connection = local[threading.get_ident()] = psycopg.connect(os.environ["ROWS_URL"])
         columns = decode("application/vnd.scatola.batch", body, max_decoded_bytes=2**26)
-        with connection.cursor() as cursor, cursor.copy("COPY reading FROM STDIN (FORMAT BINARY)") as copy:
-            copy.write(copied(columns, device))
+        if os.environ["ROWS_HOW"] == "array":
+            with connection.cursor() as cursor, cursor.copy("COPY reading FROM STDIN (FORMAT BINARY)") as copy:
+                copy.write(copied(columns, device))
+        else:
+            kept = ~np.isnan(columns.values["fx"])
+            values = [columns.values[name][kept].tolist() for name in ("t", "fx", "fy", "fz")]
+            with connection.cursor() as cursor, cursor.copy("COPY reading FROM STDIN") as copy:
+                for row in zip(*values, strict=True):
+                    copy.write_row((device, *row))
         connection.commit()
 
     made.state.boxes = 0
@@ -82,7 +93,7 @@ def app() -> FastAPI:
 
 
 @contextlib.contextmanager
-def serving() -> Generator[Api]:
+def serving(how: str) -> Generator[Api]:
     """The rival on the first core, its PostgreSQL on the others."""
     folder, port = Path(tempfile.mkdtemp(prefix="scatola-bench-")), free_port()
     with contextlib.ExitStack() as stack:
@@ -90,7 +101,7 @@ def serving() -> Generator[Api]:
         url = stack.enter_context(OwnPostgres(OTHERS)).url
         with psycopg.connect(url, autocommit=True) as connection:
             connection.execute(TABLE)
-        environment = {"ROWS_URL": url, "ROWS_PORT": str(port)}
+        environment = {"ROWS_URL": url, "ROWS_PORT": str(port), "ROWS_HOW": how}
         api = Api(folder, port, environment, start([str(Path(__file__).resolve())], environment, API_CORE), url)
         stack.callback(api.stop)
         eventually(lambda: is_ready(api), within_s=60, what="the rival answers")
