@@ -95,6 +95,7 @@ def rows_side_by_side(args: argparse.Namespace) -> tuple[str, list[Row]]:
     with load.installation("PostgreSQL") as api:
         ours = asyncio.run(load.saturate(api, "compact", seconds))
         bytes_ours = api.stored_bytes() / ours.readings
+    ours_per_cpu = ours.readings / ours.all_cpu_s
     rows = [
         Row("columns: readings a second", ours.readings_per_s / 1e6, "M/s"),
         Row("columns: bytes per reading on disk, blobs and tables", bytes_ours, "B", "≤ 4 B"),
@@ -106,6 +107,11 @@ def rows_side_by_side(args: argparse.Namespace) -> tuple[str, list[Row]]:
         name = service_rows.WRITERS[how]
         rows += [
             Row(f"{name}: readings a second", theirs.readings_per_s / 1e6, "M/s"),
+            Row(
+                f"columns over {name}, processor time with PostgreSQL's",
+                ours_per_cpu * theirs.all_cpu_s / theirs.readings,
+                "x",
+            ),
             Row(f"columns over {name}", ours.readings_per_s / theirs.readings_per_s, "x", bar),
             Row(f"{name}: bytes per reading on disk, table and index", bytes_theirs, "B"),
         ]

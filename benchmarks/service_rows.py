@@ -98,11 +98,12 @@ def serving(how: str) -> Generator[Api]:
     folder, port = Path(tempfile.mkdtemp(prefix="scatola-bench-")), free_port()
     with contextlib.ExitStack() as stack:
         stack.callback(shutil.rmtree, folder, ignore_errors=True)
-        url = stack.enter_context(OwnPostgres(OTHERS)).url
+        postgres = stack.enter_context(OwnPostgres(OTHERS))
+        url, pid = postgres.url, postgres.process.pid
         with psycopg.connect(url, autocommit=True) as connection:
             connection.execute(TABLE)
         environment = {"ROWS_URL": url, "ROWS_PORT": str(port), "ROWS_HOW": how}
-        api = Api(folder, port, environment, start([str(Path(__file__).resolve())], environment, API_CORE), url)
+        api = Api(folder, port, environment, start([str(Path(__file__).resolve())], environment, API_CORE), url, pid)
         stack.callback(api.stop)
         eventually(lambda: is_ready(api), within_s=60, what="the rival answers")
         yield api
