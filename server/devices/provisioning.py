@@ -207,9 +207,9 @@ def told(session: Session, device_id: str, configuration_seen: int | None, *, no
     if alarm_at is not None and now < alarm_at + LIVE_FOR:
         items.append(LiveTold(period_s=LIVE_PERIOD_S, until=alarm_at + LIVE_FOR))
     items += [
-        WindowTold(id=request_id, boot=boot, t_first_s=t_first_s, t_last_s=t_last_s)
-        for *_, request_id, boot, t_first_s, t_last_s in rows
-        if request_id is not None
+        WindowTold(id=row[3], boot=row[4], t_first_s=row[5], t_last_s=row[6])
+        for row in rows
+        if row[3] is not None  # pyright: ignore[reportUnnecessaryComparison]  an outer join's
     ]
     return items
 

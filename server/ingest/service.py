@@ -191,9 +191,10 @@ def accept(session: Session, device_id: str, upload: Upload, *, now: dt.datetime
         received_at=now,
     )
     t = upload.columns.values["t"]
+    batch_id = new_id()
     row = {
         **asked,
-        "id": new_id(),
+        "id": batch_id,
         "organisation_id": device.organisation_id,
         "media_type": upload.media_type,
         "body_sha256": upload.body_sha256,
@@ -211,7 +212,7 @@ def accept(session: Session, device_id: str, upload: Upload, *, now: dt.datetime
         "remarks": remarks_on(upload.columns),
     }
     connection.execute(_INSERT_BATCH, row)
-    answered(session, device_id, upload.notes.answers, row["id"], now=now)
+    answered(session, device_id, upload.notes.answers, batch_id, now=now)
     _extend_runs(connection, device_id, key)
     if upload.columns.named:
         keep(session, device_id, _named(upload.columns, now), now=now)
@@ -227,7 +228,7 @@ def accept(session: Session, device_id: str, upload: Upload, *, now: dt.datetime
         vehicle_id=device.vehicle_id,
         data={"stream": key.stream, "rows": upload.columns.rows},
     )
-    return row["id"], False
+    return batch_id, False
 
 
 def _named(columns: Columns, now: dt.datetime) -> list[Reading]:
