@@ -5,7 +5,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 PYTEST_WORKERS ?= 2
 
-.PHONY: help setup run test check bench bench-mounting bench-crash vendor lock clean bench-moved coverage test-faults thesis-figures
+.PHONY: help setup run test check bench bench-mounting bench-service bench-crash vendor lock clean bench-moved coverage test-faults thesis-figures
 .DEFAULT_GOAL := help
 
 help:  ## This list
@@ -20,8 +20,9 @@ test: setup  ## All tests; what needs a browser, PostgreSQL or RabbitMQ is skipp
 	@scripts/browser.sh
 	$(BIN)/python -m pytest -n $(PYTEST_WORKERS) --dist loadfile
 
-test-faults: setup  ## Try to break it: every decoder fuzzed for ten minutes (SCATOLA_FUZZ_SECONDS each)
-	SCATOLA_FUZZ_SECONDS=$${SCATOLA_FUZZ_SECONDS:-600} $(BIN)/python -m pytest tests/faults -n $(PYTEST_WORKERS) -s
+test-faults: setup  ## Try to break it: decoders fuzzed for ten minutes each, 200 random kills in each mode, the whole API (hours)
+	SCATOLA_FUZZ_SECONDS=$${SCATOLA_FUZZ_SECONDS:-600} SCATOLA_KILLS=$${SCATOLA_KILLS:-200} \
+	  SCATOLA_OPENAPI_EXAMPLES=$${SCATOLA_OPENAPI_EXAMPLES:-100} $(BIN)/python -m pytest tests/faults -n $(PYTEST_WORKERS) -s
 
 check: setup node_modules/ready  ## Lint, types, architecture, JavaScript, migrations in step with models
 	$(BIN)/ruff check .
@@ -33,6 +34,9 @@ check: setup node_modules/ready  ## Lint, types, architecture, JavaScript, migra
 
 bench: setup  ## Speed of the numerics and of the ingest path; WRITE=docs/performance.md keeps the tables
 	$(BIN)/python benchmarks/run.py $(if $(WRITE),--write $(WRITE))
+
+bench-service: setup  ## The service under load, in processes and servers of its own; PARTS=, SHORT=1, WRITE=docs/service-benchmark.md
+	$(BIN)/python benchmarks/service.py $(PARTS) $(if $(SHORT),--short) $(if $(WRITE),--write $(WRITE))
 
 bench-mounting: setup  ## Over 2000 simulated drives: docs/mounting-benchmark.md (resumable, half an hour)
 	$(BIN)/python benchmarks/mounting.py

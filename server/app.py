@@ -129,13 +129,13 @@ def create_app(settings: Settings, *, clock: Clock = utc_now) -> FastAPI:
     problems.install(app)
     templating.install(app)
     for part in (
+        ingest,  # first: routes are tried in this order, and no other is asked for as often
         health,
         accounts,
         users,
         devices,
         boxes,
         vehicles,
-        ingest,
         installations,
         trips,
         events,

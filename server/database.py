@@ -7,15 +7,18 @@ from __future__ import annotations
 
 import copy
 import datetime as dt
+import time
 from collections.abc import Generator
 from contextlib import contextmanager
 from typing import Any
 
+import psycopg
 from sqlalchemy import DateTime, Engine, create_engine, event, text
 from sqlalchemy.engine import Dialect
 from sqlalchemy.engine.interfaces import DBAPIConnection
+from sqlalchemy.exc import InvalidatePoolError
 from sqlalchemy.orm import Session, sessionmaker
-from sqlalchemy.pool import ConnectionPoolEntry
+from sqlalchemy.pool import ConnectionPoolEntry, PoolProxiedConnection
 from sqlalchemy.types import TypeDecorator
 
 from server.settings import Settings
@@ -24,6 +27,8 @@ from server.settings import Settings
 CHANGE_LOCK = 0x5CA701A
 # What a session is confined to, in its `info`.
 ORGANISATION = "organisation_id"
+# A connection that was used so lately is taken to stand still.
+_FRESH_S = 1.0
 
 
 class UtcDateTime(TypeDecorator[dt.datetime]):
@@ -56,7 +61,28 @@ def make_engine(settings: Settings) -> Engine:
         event.listen(engine, "connect", _prepare_sqlite)
         event.listen(engine, "begin", _begin_sqlite)
         return engine
-    return create_engine(dsn, pool_pre_ping=True, pool_size=10, max_overflow=10)
+    engine = create_engine(dsn, pool_size=10, max_overflow=10)
+    event.listen(engine, "checkout", _ping_idle)
+    event.listen(engine, "checkin", _note_use)
+    return engine
+
+
+def _note_use(connection: DBAPIConnection | None, record: ConnectionPoolEntry) -> None:
+    del connection
+    record.info["used_at"] = time.monotonic()
+
+
+def _ping_idle(connection: DBAPIConnection, record: ConnectionPoolEntry, proxy: PoolProxiedConnection) -> None:
+    """Ask a connection that lay unused whether it still stands; asking every time costs an upload three answers."""
+    del proxy
+    used_at = record.info.get("used_at")
+    if used_at is None or time.monotonic() - used_at < _FRESH_S:
+        return
+    try:
+        connection.cursor().execute("SELECT 1")
+        connection.rollback()
+    except psycopg.Error as error:
+        raise InvalidatePoolError from error
 
 
 def _prepare_sqlite(connection: DBAPIConnection, record: ConnectionPoolEntry) -> None:

@@ -37,6 +37,10 @@ class NotFoundError(ProblemError):
     status, code, title = 404, "not_found", "Not found"
 
 
+class SlowBodyError(ProblemError):
+    status, code, title = 408, "body_timeout", "The body did not arrive in time"
+
+
 class ConflictError(ProblemError):
     status, code, title = 409, "conflict", "In conflict with what is stored"
 
@@ -59,6 +63,10 @@ class InvalidError(ProblemError):
 
 class TooManyRequestsError(ProblemError):
     status, code, title = 429, "too_many_requests", "Too many requests"
+
+
+class FullError(ProblemError):
+    status, code, title = 507, "storage_full", "No room to store this now"
 
 
 class UnavailableError(ProblemError):

@@ -15,13 +15,16 @@ from starlette.responses import Response
 from server.errors import (
     ConflictError,
     ForbiddenError,
+    FullError,
     GoneError,
     InvalidError,
     NotFoundError,
     ProblemError,
+    SlowBodyError,
     TooLargeError,
     TooManyRequestsError,
     UnauthenticatedError,
+    UnavailableError,
     UnsupportedMediaError,
 )
 
@@ -59,12 +62,15 @@ DESCRIBED: tuple[type[ProblemError], ...] = (
     UnauthenticatedError,
     ForbiddenError,
     NotFoundError,
+    SlowBodyError,
     ConflictError,
     GoneError,
     TooLargeError,
     UnsupportedMediaError,
     InvalidError,
     TooManyRequestsError,
+    UnavailableError,
+    FullError,
 )
 
 

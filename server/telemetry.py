@@ -24,6 +24,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from server.problems import InternalProblemError, problem_response
 from server.tracing import REQUEST_ID, failed, request_span
+from server.troubles import trouble_of
 
 Gauges = dict[str, tuple[str, float | dict[str, float]]]
 """Name to what it is and its value, or its value by queue."""
@@ -139,13 +140,16 @@ class RequestTelemetry:
                 await self._app(scope, receive, observed)
             else:
                 await self._traced(scope, receive, observed, lambda: status)
-        except Exception:
-            log.exception("request failed", route=route_template(scope))
+        except Exception as error:
+            trouble = trouble_of(error)
+            if trouble is None:
+                log.exception("request failed", route=route_template(scope))
+            else:
+                log.error("request failed", route=route_template(scope), code=trouble.code, error=str(error)[:500])  # noqa: TRY400  an operator mends it: no traceback
             if status:
                 raise  # an answer is under way: only cutting it off tells the client
-            await problem_response(InternalProblemError(f"Request {request_id} failed"), connection)(
-                scope, receive, observed
-            )
+            problem = trouble or InternalProblemError(f"Request {request_id} failed")
+            await problem_response(problem, connection)(scope, receive, observed)
         finally:
             self._count(scope, status, time.perf_counter() - began)
 

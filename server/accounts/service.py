@@ -5,7 +5,7 @@ from __future__ import annotations
 import datetime as dt
 from dataclasses import dataclass
 
-from sqlalchemy import delete, or_, select
+from sqlalchemy import bindparam, delete, or_, select
 from sqlalchemy.orm import Session
 
 from server.accounts.caller import Caller
@@ -172,14 +172,17 @@ def slide(session: Session, session_id: str, *, now: dt.datetime) -> None:
         row.expires_at = now + SESSION_LIFE
 
 
+# Built once: every upload asks.
+_BOX = select(Device.id, Device.organisation_id, Device.signed_only, Device.token_hash).where(
+    or_(Device.token_hash == bindparam("digest"), Device.next_token_hash == bindparam("digest")),
+    Device.revoked_at.is_(None),
+)
+
+
 def device_of(session: Session, token: str) -> tuple[Caller, bool] | None:
     """The box that a bearer token belongs to, and whether the token is its next one; none once it is revoked."""
     digest = hash_of(token)
-    row = session.execute(
-        select(Device.id, Device.organisation_id, Device.signed_only, Device.token_hash).where(
-            or_(Device.token_hash == digest, Device.next_token_hash == digest), Device.revoked_at.is_(None)
-        )
-    ).first()
+    row = session.connection().execute(_BOX, {"digest": digest}).first()
     if row is None:
         return None
     if row.signed_only:

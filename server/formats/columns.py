@@ -39,7 +39,7 @@ _FLAGS = ("fix", "ignition")
 # A vector with a component missing is no vector; a position needs both coordinates.
 _TOGETHER = (("fx", "fy", "fz"), ("wx", "wy", "wz"), ("mx", "my", "mz"), ("lat", "lon"))
 _HASH_HEAD = b"scatola-columns-1\n"
-_ONE_NAN = np.array([0x7FF8000000000000], dtype="<u8").view("<f8")[0]
+_ONE_NAN = np.array(0x7FF8000000000000, dtype="<u8")
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,10 +89,13 @@ class Columns:
         """Canonical hash of names, types and values, whatever file they came in (docs/device-protocol.md)."""
         digest = hashlib.sha256(_HASH_HEAD)
         for name, column in self.values.items():
+            values = column.astype("<f8", copy=False)
+            missing = np.isnan(column)
             # Not-a-number has many bit patterns; one stands for all.
-            values = np.where(np.isnan(column), _ONE_NAN, column).astype("<f8")
+            if missing.any() and (values.view("<u8")[missing] != _ONE_NAN).any():
+                values = np.where(missing, _ONE_NAN.view("<f8"), values)
             digest.update(f"{name} <f8 {values.size}\n".encode())
-            digest.update(values.tobytes())
+            digest.update(values.data)
         return digest.hexdigest()
 
     def to_parquet(self) -> bytes:

@@ -7,14 +7,10 @@ import asyncio
 from fastapi import Request
 from starlette.requests import ClientDisconnect
 
-from server.errors import ProblemError, TooLargeError
+from server.errors import SlowBodyError, TooLargeError
 
 # A box on a bad link is slow, but one that stops in the middle must not hold a connection for ever.
 BODY_TIMEOUT_S = 120.0
-
-
-class SlowBodyError(ProblemError):
-    status, code, title = 408, "body_timeout", "The body did not arrive in time"
 
 
 async def read_body(request: Request, max_bytes: int) -> bytes:

@@ -5,12 +5,23 @@ from __future__ import annotations
 import datetime as dt
 from dataclasses import dataclass
 
-from sqlalchemy import func, select
+from sqlalchemy import bindparam, func, select
 from sqlalchemy.orm import Session
 
 from server.models import Batch, JobFailure, SequenceRun
 
 MAX_RANGES = 100
+# Built once: building a statement and its key in the compiler's cache costs more than running it.
+_RUNS = (
+    select(SequenceRun.first, SequenceRun.last)
+    .where(
+        SequenceRun.device_id == bindparam("device_id"),
+        SequenceRun.stream == bindparam("stream"),
+        SequenceRun.boot == bindparam("boot"),
+    )
+    .order_by(SequenceRun.first)
+    .limit(MAX_RANGES + 1)
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,10 +59,7 @@ def failing(session: Session) -> tuple[int, int]:
 
 def progress(session: Session, device_id: str, stream: str, boot: str) -> Progress:
     """Gaps of a boot's stream, the first `MAX_RANGES` of them; as many rows are read, however long it is."""
-    of_boot = SequenceRun.device_id == device_id, SequenceRun.stream == stream, SequenceRun.boot == boot
-    runs = session.execute(
-        select(SequenceRun.first, SequenceRun.last).where(*of_boot).order_by(SequenceRun.first).limit(MAX_RANGES + 1)
-    )
+    runs = session.connection().execute(_RUNS, {"device_id": device_id, "stream": stream, "boot": boot})
     missing: list[tuple[int, int]] = []
     wanted = 0
     for first, last in runs:

@@ -8,6 +8,7 @@ from typing import Annotated, cast
 
 from anyio import CapacityLimiter, to_thread
 from fastapi import APIRouter, Header, Request
+from sqlalchemy.orm import Session
 
 from server.accounts.access import Caller, DeviceCaller
 from server.database import Database
@@ -56,7 +57,7 @@ _BODY = {
 }
 
 
-@router.post(PATH, status_code=202, openapi_extra=_BODY, responses=described(409, 413, 415, 429))
+@router.post(PATH, status_code=202, openapi_extra=_BODY, responses=described(408, 409, 413, 415, 429, 503, 507))
 async def upload(
     request: Request,
     caller: DeviceCaller,
@@ -117,12 +118,10 @@ def _store(
     sha256 = service.body_sha256(body)
     with database.reading() as session:
         # Most repeats end here, undecoded; `accept` asks again under the device's lock.
-        stored = service.known(session, device_id, key, media_type, sha256)
-        if stored is None:
-            limit, burst = settings.device_bytes_per_day, key.stream == "burst"
-            check_quota(session, device_id, sent.size, limit=limit, burst=burst, now=now)
-    if stored is not None:
-        return _answer(database, device_id, sent, stored.id, now, duplicate=True), 0, 0
+        stored, quota = service.standing(session, device_id, key, media_type, sha256)
+        if stored is not None:
+            return _answer(session, device_id, sent, stored, now, duplicate=True), 0, 0
+    check_quota(quota, sent.size, limit=settings.device_bytes_per_day, burst=key.stream == "burst", now=now)
     with tracer.start_as_current_span("decode"):
         columns = decode(media_type, body, max_decoded_bytes=settings.max_decoded_bytes)
     column_sha256 = columns.column_sha256()
@@ -147,18 +146,16 @@ def _store(
         notes=sent.notes,
     )
     with tracer.start_as_current_span("commit row"), database.transaction() as session:
-        batch, duplicate = service.accept(session, device_id, made, now=now)
-        batch_id = batch.id
-    answer = _answer(database, device_id, sent, batch_id, now, duplicate=duplicate)
+        batch_id, duplicate = service.accept(session, device_id, made, now=now)
+        answer = _answer(session, device_id, sent, batch_id, now, duplicate=duplicate)
     return (answer, 0, 0) if duplicate else (answer, columns.rows, service.readings(columns))
 
 
 def _answer(
-    database: Database, device_id: str, sent: _Sent, batch_id: str, now: dt.datetime, *, duplicate: bool
+    session: Session, device_id: str, sent: _Sent, batch_id: str, now: dt.datetime, *, duplicate: bool
 ) -> Acknowledgement:
-    with database.reading() as session:
-        progress = queries.progress(session, device_id, sent.key.stream, sent.key.boot)
-        requests = told(session, device_id, sent.notes.configuration, now=now)
+    progress = queries.progress(session, device_id, sent.key.stream, sent.key.boot)
+    requests = told(session, device_id, sent.notes.configuration, now=now)
     return Acknowledgement(
         batch_id=batch_id,
         duplicate=duplicate,

@@ -5,14 +5,15 @@ from __future__ import annotations
 import datetime as dt
 import hashlib
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal, cast
 
 import numpy as np
-from sqlalchemy import select
+from sqlalchemy import Connection, Table, and_, bindparam, delete, insert, select, update
 from sqlalchemy.orm import Session
 
-from server.devices.provisioning import answered, count_bytes
+from server.devices.provisioning import Quota, answered, counted
 from server.diagnosis.service import Reading, keep, per_minute
 from server.errors import ConflictError, InvalidError, UnauthenticatedError
 from server.formats.columns import Columns
@@ -106,88 +107,128 @@ def body_sha256(body: bytes) -> str:
     return hashlib.sha256(body).hexdigest()
 
 
-def known(session: Session, device_id: str, key: BatchKey, media_type: str, sha256: str) -> Batch | None:
-    """The batch stored under this key, if any; raises when it was another."""
-    batch = session.scalar(
-        select(Batch).where(
-            Batch.device_id == device_id,
-            Batch.stream == key.stream,
-            Batch.boot == key.boot,
-            Batch.sequence == key.sequence,
-        )
+# Statements are built once, and rows written without the mapper's unit of work: it would cost most of an upload.
+_OF_KEY = and_(
+    Batch.stream == bindparam("stream"), Batch.boot == bindparam("boot"), Batch.sequence == bindparam("sequence")
+)
+_STORED = Batch.id, Batch.body_sha256, Batch.media_type
+_QUOTA = Device.quota_day, Device.quota_bytes, Device.bytes_per_day
+_STANDING = (
+    select(*_QUOTA, *_STORED)
+    .outerjoin(Batch, and_(Batch.device_id == Device.id, _OF_KEY))
+    .where(Device.id == bindparam("device_id"))
+)
+_LOCKED = (
+    select(
+        Device.organisation_id, Device.vehicle_id, Device.revoked_at, Device.chain_length, Device.chain_head, *_QUOTA
     )
-    if batch is not None and (batch.body_sha256, batch.media_type) != (sha256, media_type):
+    .where(Device.id == bindparam("device_id"))
+    .with_for_update()
+)
+_KNOWN = select(*_STORED).where(Batch.device_id == bindparam("device_id"), _OF_KEY)
+_BATCHES, _DEVICES, _RUNS = (cast("Table", row.__table__) for row in (Batch, Device, SequenceRun))
+_INSERT_BATCH = insert(_BATCHES)
+_UPDATE_DEVICE = update(_DEVICES).where(_DEVICES.c.id == bindparam("device_id"))
+_OF_BOOT = and_(
+    _RUNS.c.device_id == bindparam("of_device"),
+    _RUNS.c.stream == bindparam("of_stream"),
+    _RUNS.c.boot == bindparam("of_boot"),
+)
+_NEIGHBOURS = (
+    select(_RUNS.c.first, _RUNS.c.last)
+    .where(_OF_BOOT, _RUNS.c.first <= bindparam("next"))
+    .order_by(_RUNS.c.first.desc())
+    .limit(2)
+)
+_INSERT_RUN = insert(_RUNS)
+_UPDATE_RUN = update(_RUNS).where(_OF_BOOT, _RUNS.c.first == bindparam("of_first"))
+_DELETE_RUN = delete(_RUNS).where(_OF_BOOT, _RUNS.c.first == bindparam("of_first"))
+
+
+def _checked(row: Sequence[Any] | None, media_type: str, sha256: str) -> str | None:
+    """Id of the batch stored under a key, from `_STORED`, if any; raises when it was another."""
+    if row is None or row[0] is None:
+        return None
+    if (row[1], row[2]) != (sha256, media_type):
         raise ConflictError(
-            "Another body was stored under this key; a sequence is used once", code="sequence_reused", batch_id=batch.id
+            "Another body was stored under this key; a sequence is used once", code="sequence_reused", batch_id=row[0]
         )
-    return batch
+    return row[0]
 
 
-def accept(session: Session, device_id: str, upload: Upload, *, now: dt.datetime) -> tuple[Batch, bool]:
-    """Store the row of an upload, and whether it was there already.
+def standing(session: Session, device_id: str, key: BatchKey, media_type: str, sha256: str) -> tuple[str | None, Quota]:
+    """Id of the batch stored under this key, if any, and the box's quota; raises when the batch was another."""
+    asked = {"device_id": device_id, "stream": key.stream, "boot": key.boot, "sequence": key.sequence}
+    row = session.connection().execute(_STANDING, asked).one()
+    return _checked(row[3:], media_type, sha256), Quota(*row[:3])
+
+
+def accept(session: Session, device_id: str, upload: Upload, *, now: dt.datetime) -> tuple[str, bool]:
+    """Store the row of an upload; its id, and whether it was there already.
 
     The device's row is locked: its chain grows one link at a time, and a key that is sent twice at
     once is stored once.
     """
-    device = session.get_one(Device, device_id, with_for_update=True)
+    connection, key = session.connection(), upload.key
+    device = connection.execute(_LOCKED, {"device_id": device_id}).one()
     if device.revoked_at is not None:
         raise UnauthenticatedError("The device is revoked")
-    device.last_seen_at = now
+    seen: dict[str, Any] = {"device_id": device_id, "last_seen_at": now}
     if upload.notes.configuration is not None:
-        device.configuration_seen = upload.notes.configuration
-    stored = known(session, device_id, upload.key, upload.media_type, upload.body_sha256)
+        seen["configuration_seen"] = upload.notes.configuration
+    asked = {"device_id": device_id, "stream": key.stream, "boot": key.boot, "sequence": key.sequence}
+    stored = _checked(connection.execute(_KNOWN, asked).first(), upload.media_type, upload.body_sha256)
     if stored is not None:
+        connection.execute(_UPDATE_DEVICE, seen)
         return stored, True
     chain = link(
-        device.chain_head or device.id,
+        device.chain_head or device_id,
         body_sha256=upload.body_sha256,
         column_sha256=upload.column_sha256,
-        stream=upload.key.stream,
-        boot=upload.key.boot,
-        sequence=upload.key.sequence,
+        stream=key.stream,
+        boot=key.boot,
+        sequence=key.sequence,
         received_at=now,
     )
     t = upload.columns.values["t"]
-    batch = Batch(
-        id=new_id(),
-        organisation_id=device.organisation_id,
-        device_id=device.id,
-        stream=upload.key.stream,
-        boot=upload.key.boot,
-        sequence=upload.key.sequence,
-        media_type=upload.media_type,
-        body_sha256=upload.body_sha256,
-        column_sha256=upload.column_sha256,
-        blob_key=upload.blob_key,
-        body_key=upload.body_key,
-        stored_bytes=upload.stored_bytes,
-        rows=upload.columns.rows,
-        t_first_s=float(t.min()),
-        t_last_s=float(t.max()),
-        received_at=now,
-        sent_t_s=upload.notes.sent_t_s,
-        chain_index=device.chain_length,
-        chain_sha256=chain,
-        remarks=remarks_on(upload.columns),
-    )
-    session.add(batch)
-    count_bytes(device, upload.sent_bytes, now=now)
-    answered(session, device.id, upload.notes.answers, batch.id, now=now)
-    _extend_runs(session, device_id, upload.key)
+    batch_id = new_id()
+    row = {
+        **asked,
+        "id": batch_id,
+        "organisation_id": device.organisation_id,
+        "media_type": upload.media_type,
+        "body_sha256": upload.body_sha256,
+        "column_sha256": upload.column_sha256,
+        "blob_key": upload.blob_key,
+        "body_key": upload.body_key,
+        "stored_bytes": upload.stored_bytes,
+        "rows": upload.columns.rows,
+        "t_first_s": float(t.min()),
+        "t_last_s": float(t.max()),
+        "received_at": now,
+        "sent_t_s": upload.notes.sent_t_s,
+        "chain_index": device.chain_length,
+        "chain_sha256": chain,
+        "remarks": remarks_on(upload.columns),
+    }
+    connection.execute(_INSERT_BATCH, row)
+    answered(session, device_id, upload.notes.answers, batch_id, now=now)
+    _extend_runs(connection, device_id, key)
     if upload.columns.named:
         keep(session, device_id, _named(upload.columns, now), now=now)
-    device.chain_length += 1
-    device.chain_head = chain
+    quota = counted(Quota(device.quota_day, device.quota_bytes, device.bytes_per_day), upload.sent_bytes, now=now)
+    grown = {"chain_length": device.chain_length + 1, "chain_head": chain}
+    connection.execute(_UPDATE_DEVICE, {**seen, **grown, "quota_day": quota.day, "quota_bytes": quota.used})
     announce(
         session,
         "batch",
         at=now,
         organisation_id=device.organisation_id,
-        device_id=device.id,
+        device_id=device_id,
         vehicle_id=device.vehicle_id,
-        data={"stream": batch.stream, "rows": batch.rows},
+        data={"stream": key.stream, "rows": upload.columns.rows},
     )
-    return batch, False
+    return batch_id, False
 
 
 def _named(columns: Columns, now: dt.datetime) -> list[Reading]:
@@ -202,23 +243,22 @@ def _named(columns: Columns, now: dt.datetime) -> list[Reading]:
     ]
 
 
-def _extend_runs(session: Session, device_id: str, key: BatchKey) -> None:
+def _extend_runs(connection: Connection, device_id: str, key: BatchKey) -> None:
     """Count a new sequence into the runs: it lengthens one, joins two, or begins its own."""
-    of_boot = SequenceRun.device_id == device_id, SequenceRun.stream == key.stream, SequenceRun.boot == key.boot
-    below = session.scalar(
-        select(SequenceRun)
-        .where(*of_boot, SequenceRun.first < key.sequence)
-        .order_by(SequenceRun.first.desc())
-        .limit(1)
-    )
-    above = session.get(SequenceRun, (device_id, key.stream, key.boot, key.sequence + 1))
-    last = key.sequence if above is None else above.last
-    if above is not None:
-        session.delete(above)
-    if below is not None and below.last == key.sequence - 1:
-        below.last = last
+    of_boot = {"of_device": device_id, "of_stream": key.stream, "of_boot": key.boot}
+    runs = connection.execute(_NEIGHBOURS, {**of_boot, "next": key.sequence + 1}).all()
+    above = runs[0] if runs and runs[0].first == key.sequence + 1 else None
+    below = next((run for run in runs if run.last == key.sequence - 1), None)
+    if below is None and above is None:
+        began = {"device_id": device_id, "stream": key.stream, "boot": key.boot}
+        connection.execute(_INSERT_RUN, {**began, "first": key.sequence, "last": key.sequence})
+    elif below is None:
+        connection.execute(_UPDATE_RUN, {**of_boot, "of_first": key.sequence + 1, "first": key.sequence})
     else:
-        session.add(SequenceRun(device_id=device_id, stream=key.stream, boot=key.boot, first=key.sequence, last=last))
+        if above is not None:
+            connection.execute(_DELETE_RUN, {**of_boot, "of_first": above.first})
+        last = key.sequence if above is None else above.last
+        connection.execute(_UPDATE_RUN, {**of_boot, "of_first": below.first, "last": last})
 
 
 BLOW_MPS2 = 14.8

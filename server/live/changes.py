@@ -10,13 +10,15 @@ from __future__ import annotations
 import datetime as dt
 from typing import Any
 
-from sqlalchemy import event, text
+from sqlalchemy import event, insert, text
 from sqlalchemy.orm import Session
 
 from server.database import CHANGE_LOCK
 from server.models import Change
 
 _PENDING = "pending_changes"
+_LOCK = text("SELECT pg_advisory_xact_lock(:lock)")
+_INSERT = insert(Change.__table__)  # pyright: ignore[reportArgumentType]  a mapped class has a Table
 
 
 def announce(
@@ -30,33 +32,34 @@ def announce(
     data: dict[str, Any] | None = None,
 ) -> None:
     """Append a change when the session's transaction commits; nothing is written when it rolls back."""
-    if _PENDING not in session.info:
-        session.info[_PENDING] = []
-        event.listen(session, "before_commit", _append)
-        event.listen(session, "after_rollback", _forget)
-    session.info[_PENDING].append(
-        Change(
-            kind=kind,
-            at=at,
-            organisation_id=organisation_id,
-            device_id=device_id,
-            vehicle_id=vehicle_id,
-            data=data or {},
-        )
+    session.info.setdefault(_PENDING, []).append(
+        {
+            "kind": kind,
+            "at": at,
+            "organisation_id": organisation_id,
+            "device_id": device_id,
+            "vehicle_id": vehicle_id,
+            "data": data or {},
+        }
     )
 
 
 def _append(session: Session) -> None:
-    pending: list[Change] = session.info[_PENDING]
+    pending: list[dict[str, Any]] | None = session.info.pop(_PENDING, None)
     if not pending:
         return
     session.flush()
-    if session.get_bind().dialect.name == "postgresql":
-        session.execute(text("SELECT pg_advisory_xact_lock(:lock)"), {"lock": CHANGE_LOCK})
-    session.add_all(pending)
-    session.flush()
-    pending.clear()
+    connection = session.connection()
+    if connection.dialect.name == "postgresql":
+        connection.execute(_LOCK, {"lock": CHANGE_LOCK})
+    # One by one: a statement of many rows need not number them in their order.
+    for change in pending:
+        connection.execute(_INSERT, change)
 
 
 def _forget(session: Session) -> None:
-    session.info[_PENDING].clear()
+    session.info.pop(_PENDING, None)
+
+
+event.listen(Session, "before_commit", _append)
+event.listen(Session, "after_rollback", _forget)

@@ -36,10 +36,21 @@ def eventually(condition: Callable[[], object], *, within_s: float, what: str):
 
 
 class Service:
-    """One `scatola` command that serves, restartable on the same port and data."""
+    """One `scatola` command that serves, restartable on the same port and data.
 
-    def __init__(self, data_dir: Path, *command: str, port: int | None = None) -> None:
+    `environment` is what it is told besides; what says nothing at its start has `greets` false.
+    """
+
+    def __init__(
+        self,
+        data_dir: Path,
+        *command: str,
+        port: int | None = None,
+        environment: dict[str, str] | None = None,
+        greets: bool = True,
+    ) -> None:
         self.data_dir, self.command = data_dir, command
+        self._environment, self._greets = environment or {}, greets
         self.port = port or free_port()
         self.url = f"http://127.0.0.1:{self.port}"
         self.lines: list[str] = []
@@ -61,7 +72,7 @@ class Service:
             "SCATOLA_PORT": str(self.port),
             "SCATOLA_ADMIN_TOKEN": ADMIN,
             "SCATOLA_LOG_LEVEL": "warning",
-        }
+        } | self._environment
         self.lines = []
         self.process = subprocess.Popen(
             [sys.executable, "-m", "server.cli.main", *self.command],
@@ -71,7 +82,8 @@ class Service:
             start_new_session=True,
         )
         threading.Thread(target=self._read, args=(self.process,), daemon=True).start()
-        eventually(lambda: any("serves" in line for line in self.lines), within_s=60, what="the service serves")
+        if self._greets:
+            eventually(lambda: any("serves" in line for line in self.lines), within_s=60, what="the service serves")
 
     def _read(self, process: subprocess.Popen[str]) -> None:
         assert process.stdout is not None

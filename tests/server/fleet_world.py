@@ -56,7 +56,7 @@ class World:
             stored_bytes=len(content),
         )
         with self.database.transaction() as session:
-            return service.accept(session, device_id, upload, now=self.clock())[0].id
+            return service.accept(session, device_id, upload, now=self.clock())[0]
 
     def bring_up(self, device_id=None) -> Outcome:
         return bring_up_to_date(

@@ -1,0 +1,447 @@
+"""An installation of its own, and the load on it: what `benchmarks/service.py` measures with."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import itertools
+import json
+import math
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import AsyncGenerator, Generator, Iterator
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Self
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+import httpx
+import numpy as np
+import orjson
+import sqlalchemy as sa
+import uvicorn
+
+from nav_core.simulate import Impact, Scenario, simulate
+from server.app import create_app
+from server.database import make_engine
+from server.events.window import between
+from server.formats.columns import Columns
+from server.formats.compact_write import write
+from server.formats.drive import from_drive
+from server.migrations import upgrade
+from server.settings import Settings
+from server.uploader import batches
+from tests.e2e.servers import OwnPostgres
+from tests.e2e.service import alive, eventually, free_port
+
+TOKEN = "measure"  # noqa: S105  of a service that nobody else reaches
+CORES = sorted(os.sched_getaffinity(0))
+API_CORE, OTHERS = {CORES[0]}, set(CORES[1:]) or {CORES[0]}
+MINUTES = 20
+TYPES = {"compact": "application/vnd.scatola.batch", "json": "application/json"}
+TICK_S = 1.0 / os.sysconf("SC_CLK_TCK")
+ROOT = Path(__file__).resolve().parents[1]
+
+
+@cache
+def bodies(encoding: str, seconds: float = 60.0) -> list[bytes]:
+    """Batches of a simulated drive: 200 Hz three-axis and 4 Hz fixes."""
+    drive, _ = simulate(Scenario(duration=60.0 * MINUTES, accel_rate=200.0, gnss_rate=4.0), seed=1)
+    parts = list(batches(from_drive(drive), seconds))
+    if encoding == "compact":
+        return [write(part) for part in parts]
+    return [orjson.dumps({"columns": _with_nulls(part)}) for part in parts]
+
+
+def _with_nulls(part: Columns) -> dict[str, list[float | None]]:
+    return {
+        name: [None if math.isnan(value) else value for value in values.tolist()]
+        for name, values in part.values.items()
+    }
+
+
+@dataclass
+class Api:
+    """A running API process."""
+
+    folder: Path
+    port: int
+    environment: dict[str, str]
+    process: subprocess.Popen[bytes]
+    database_url: str | None = None
+    postgres_pid: int | None = None
+    boxes: Iterator[int] = field(default_factory=itertools.count)
+
+    @property
+    def url(self) -> str:
+        """Address."""
+        return f"http://127.0.0.1:{self.port}"
+
+    def cpu_s(self) -> float:
+        """Processor time so far."""
+        return cpu_s(self.process.pid)
+
+    def all_cpu_s(self) -> float:
+        """Processor time so far, with PostgreSQL's."""
+        total = self.cpu_s()
+        if self.postgres_pid is not None:
+            # Its processes are its children; what ended was waited for by it.
+            children = Path(f"/proc/{self.postgres_pid}/task/{self.postgres_pid}/children").read_text(encoding="utf-8")
+            total += sum(cpu_s(int(pid)) for pid in (self.postgres_pid, *children.split()))
+        return total
+
+    def memory_mb(self) -> float:
+        """Resident memory."""
+        status = Path(f"/proc/{self.process.pid}/status").read_text(encoding="utf-8")
+        return int(status.split("VmRSS:")[1].split()[0]) / 1024.0
+
+    def stored_bytes(self) -> int:
+        """On disk: blobs in whole blocks, and the tables of PostgreSQL."""
+        files = (path for path in (self.folder / "data" / "blobs").rglob("*") if path.is_file())
+        total = sum(512 * path.stat().st_blocks for path in files)
+        engine = make_engine(Settings(data_dir=self.folder / "data", database_url=self.database_url))
+        with engine.connect() as connection:
+            tables = (
+                "SELECT sum(pg_total_relation_size(oid)) FROM pg_class "
+                "WHERE relkind = 'r' AND relnamespace = 'public'::regnamespace"
+            )
+            total += int(connection.scalar(sa.text(tables)))
+        engine.dispose()
+        return total
+
+    def stop(self) -> None:
+        """End the process; the data stay."""
+        if self.process.poll() is None:
+            self.process.send_signal(signal.SIGTERM)
+            self.process.wait(30)
+
+
+def cpu_s(pid: int) -> float:
+    """Processor time of a process and of those that it has waited for."""
+    words = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rsplit(")", 1)[1].split()
+    return TICK_S * sum(map(int, words[11:15]))
+
+
+def start(arguments: list[str], environment: dict[str, str], cores: set[int]) -> subprocess.Popen[bytes]:
+    """A Python process of ours on some cores."""
+    clean = {name: value for name, value in os.environ.items() if not name.startswith("SCATOLA_")}
+    process = subprocess.Popen(  # noqa: S603  our own scripts
+        [sys.executable, *arguments], env=clean | environment, cwd=ROOT, stdout=subprocess.DEVNULL
+    )
+    os.sched_setaffinity(process.pid, cores)
+    return process
+
+
+@contextlib.contextmanager
+def installation(database: str, *, broker_url: str | None = None, whole: bool = False) -> Generator[Api]:
+    """An API process on the first core; `whole` is `scatola serve` with its worker, which may use all."""
+    folder = Path(tempfile.mkdtemp(prefix="scatola-bench-"))
+    port = free_port()
+    environment = {
+        "SCATOLA_DATA_DIR": str(folder / "data"),
+        "SCATOLA_PORT": str(port),
+        "SCATOLA_ADMIN_TOKEN": TOKEN,
+        "SCATOLA_DEVICE_REQUESTS_PER_MINUTE": "1000000",
+        "SCATOLA_DEVICE_BYTES_PER_DAY": str(2**40),
+        "SCATOLA_LOG_LEVEL": "warning",
+    }
+    with contextlib.ExitStack() as stack:
+        stack.callback(shutil.rmtree, folder, ignore_errors=True)
+        url = pid = None
+        if database == "PostgreSQL":
+            postgres = stack.enter_context(OwnPostgres(OTHERS))
+            url = environment["SCATOLA_DATABASE_URL"] = postgres.url
+            pid = postgres.process.pid
+        upgrade(Settings(data_dir=folder / "data", database_url=url))
+        arguments = ["-m", "server.cli.main", "serve"] if whole else [str(Path(__file__).resolve())]
+        process = start(arguments, environment, set(CORES) if whole else API_CORE)
+        if broker_url is not None:  # for the workers: the API alone needs none
+            environment = environment | {"SCATOLA_BROKER_URL": broker_url}
+        api = Api(folder, port, environment, process, url, pid)
+        stack.callback(api.stop)
+        eventually(lambda: is_ready(api), within_s=60, what="the API answers")
+        yield api
+
+
+def is_ready(api: Api) -> bool:
+    """Whether it answers."""
+    try:
+        return httpx.get(f"{api.url}/healthz", timeout=2.0, trust_env=False).status_code == 200
+    except httpx.TransportError:
+        return False
+
+
+class Connection:
+    """One kept-alive HTTP/1.1 connection that costs next to nothing: the client shares its core with the database."""
+
+    def __init__(self, port: int) -> None:
+        self._port = port
+
+    async def __aenter__(self) -> Self:
+        self._reader, self._writer = await asyncio.open_connection("127.0.0.1", self._port)
+        return self
+
+    async def __aexit__(self, *failure: object) -> None:
+        self._writer.close()
+
+    async def post(self, path: str, headers: dict[str, str], body: bytes) -> bytes:
+        """Content of an answer; raises unless it is a success."""
+        lines = [f"POST {path} HTTP/1.1", "Host: x", f"Content-Length: {len(body)}"]
+        lines += [f"{name}: {value}" for name, value in headers.items()]
+        self._writer.write("\r\n".join([*lines, "", ""]).encode() + body)
+        head = await self._reader.readuntil(b"\r\n\r\n")
+        length = int(head.lower().split(b"content-length:")[1].split(b"\r\n")[0])
+        content = await self._reader.readexactly(length)
+        if not head.startswith(b"HTTP/1.1 2"):
+            raise ValueError(f"{head[:40]!r} {content[:300]!r}")
+        return content
+
+
+@dataclass
+class Run:
+    """What a stretch of load gave."""
+
+    readings_each: int
+    batches: int = 0
+    wall_s: float = 0.0
+    cpu_s: float = 0.0
+    all_cpu_s: float = 0.0
+    took_s: list[float] = field(default_factory=list)
+
+    @property
+    def readings(self) -> int:
+        """Three-axis readings stored."""
+        return self.batches * self.readings_each
+
+    @property
+    def per_s(self) -> float:
+        """Batches a second."""
+        return self.batches / self.wall_s
+
+    @property
+    def readings_per_s(self) -> float:
+        """Readings a second."""
+        return self.readings / self.wall_s
+
+    @property
+    def readings_per_cpu_s(self) -> float:
+        """Readings per second of processor time of the API."""
+        return self.readings / self.cpu_s
+
+    def quantile(self, share: float) -> float:
+        """So much of them took no longer, s."""
+        return float(np.quantile(self.took_s, share))
+
+
+async def make_box(api: Api) -> dict[str, str]:
+    """Id and token of a new box."""
+    async with Connection(api.port) as connection:
+        headers = {"Authorization": f"Bearer {TOKEN}", "Content-Type": "application/json"}
+        name = json.dumps({"name": f"box {next(api.boxes)}"}).encode()
+        return orjson.loads(await connection.post("/api/v1/devices", headers, name))
+
+
+async def parcels(api: Api, encoding: str) -> AsyncGenerator[tuple[dict[str, str], bytes]]:
+    """Batches without end: each box sends its drive once, so no blob is there already."""
+    while True:
+        box = await make_box(api)
+        for sequence, body in enumerate(bodies(encoding)):
+            yield headers_of(box["token"], "b", sequence, encoding), body
+
+
+def headers_of(token: str, boot: str, sequence: int, encoding: str = "compact") -> dict[str, str]:
+    """What an upload says of itself."""
+    return {
+        "Authorization": f"Bearer {token}",
+        "Idempotency-Key": f"{boot}/{sequence}",
+        "Content-Type": TYPES[encoding],
+    }
+
+
+async def saturate(api: Api, encoding: str, seconds: float, *, connections: int = 8) -> Run:
+    """As much as goes: every connection sends the next batch when the last is acknowledged."""
+    run = Run(200 * 60)
+    source = parcels(api, encoding)
+    lock = asyncio.Lock()
+
+    async def client(until: float) -> None:
+        async with Connection(api.port) as connection:
+            while time.perf_counter() < until:
+                async with lock:
+                    headers, body = await anext(source)
+                began = time.perf_counter()
+                await connection.post("/api/v1/batches", headers, body)
+                run.took_s.append(time.perf_counter() - began)
+                run.batches += 1
+
+    bodies(encoding)
+    await client(time.perf_counter() + 1.0)  # warm
+    run = Run(200 * 60)
+    began, cpu, all_cpu = time.perf_counter(), api.cpu_s(), api.all_cpu_s()
+    await asyncio.gather(*(client(began + seconds) for _ in range(connections)))
+    run.wall_s, run.cpu_s = time.perf_counter() - began, api.cpu_s() - cpu
+    run.all_cpu_s = api.all_cpu_s() - all_cpu
+    return run
+
+
+async def paced(api: Api, encoding: str, seconds: float, per_s: float, *, connections: int = 32) -> Run:
+    """At a rate, whether or not earlier ones were answered; what waits for a connection waits."""
+    run = Run(200 * 60)
+    source = parcels(api, encoding)
+    lock = asyncio.Lock()
+    due = iter(np.arange(0.0, seconds, 1.0 / per_s))
+    began = time.perf_counter()
+
+    async def client() -> None:
+        async with Connection(api.port) as connection:
+            for at in due:
+                async with lock:
+                    headers, body = await anext(source)
+                await asyncio.sleep(max(0.0, began + at - time.perf_counter()))
+                await connection.post("/api/v1/batches", headers, body)
+                run.took_s.append(time.perf_counter() - began - at)
+                run.batches += 1
+
+    await asyncio.gather(*(client() for _ in range(connections)))
+    run.wall_s = time.perf_counter() - began
+    return run
+
+
+async def fill(api: Api, count: int) -> None:
+    """So many 5-minute batches of one drive, four of them a box."""
+    parts = bodies("compact", 300.0)
+    async with Connection(api.port) as connection:
+        for number in range(count):
+            if number % len(parts) == 0:
+                box = await make_box(api)
+            sequence = number % len(parts)
+            await connection.post("/api/v1/batches", headers_of(box["token"], "b", sequence), parts[sequence])
+
+
+@dataclass
+class Worked:
+    """What working off took, from the first result to the last."""
+
+    wall_s: float
+    cpu_s: float
+
+
+def work_off(environment: dict[str, str], count: int, workers: int) -> Worked:
+    """Let workers work off what waits; starting them is not counted."""
+    engine = make_engine(
+        Settings(data_dir=Path(environment["SCATOLA_DATA_DIR"]), database_url=environment["SCATOLA_DATABASE_URL"])
+    )
+    due = sa.text("SELECT count(*) FROM batch WHERE processed_at IS NULL")
+
+    def waiting() -> int:
+        with engine.connect() as connection:
+            return int(connection.scalar(due) or 0)
+
+    assert waiting() == count
+    running = [start(["-m", "server.cli.main", "worker"], environment, set(CORES)) for _ in range(workers)]
+    try:
+        eventually(lambda: waiting() < count, within_s=120, what="the first result")
+        began, cpu, left = time.perf_counter(), sum(cpu_s(each.pid) for each in running), waiting()
+        eventually(lambda: waiting() == 0, within_s=3600, what="all is worked off")
+        share = count / max(1, left)  # scaled to all: what was done before the clock began is left out
+        took = Worked(share * (time.perf_counter() - began), share * (sum(cpu_s(each.pid) for each in running) - cpu))
+    finally:
+        for each in running:
+            each.terminate()
+        for each in running:
+            each.wait(30)
+        engine.dispose()
+    return took
+
+
+@dataclass
+class Streamed:
+    """What a streaming fleet saw."""
+
+    boxes: int
+    batches: int = 0
+    reports_s: list[float] = field(default_factory=list)
+    memory_mb: list[float] = field(default_factory=list)
+
+    def quantile(self, share: float) -> float:
+        """So much of them took no longer, s."""
+        return float(np.quantile(self.reports_s, share))
+
+
+async def stream_with_crashes(*, boxes: int, minutes: float) -> Streamed:
+    """Boxes send a minute a minute; every few seconds one more sends a crash and its report is waited for."""
+    found = Streamed(boxes)
+    impact = Impact(t=150.0, delta_v=32.0 / 3.6, pdof=math.radians(-20.0), duration=0.11, speed=12.0)
+    drive, _ = simulate(Scenario(duration=180.0, accel_rate=200.0, impacts=(impact,)), seed=5)
+    burst = write(between(from_drive(drive), 145.0, 155.0))
+    parts = bodies("compact")
+    with installation("SQLite", whole=True) as api:
+        tokens = [(await make_box(api))["token"] for _ in range(boxes)]
+        until = time.monotonic() + 60.0 * minutes
+
+        async def box(number: int) -> None:
+            await asyncio.sleep(60.0 * number / boxes)
+            for sequence in itertools.count():
+                begins = time.monotonic()
+                if begins >= until:
+                    return
+                async with Connection(api.port) as connection:
+                    body = parts[sequence % len(parts)]
+                    await connection.post(
+                        "/api/v1/batches",
+                        headers_of(tokens[number], f"b{sequence // len(parts)}", sequence % len(parts)),
+                        body,
+                    )
+                found.batches += 1
+                await asyncio.sleep(max(0.0, begins + 60.0 - time.monotonic()))
+
+        async def crashes() -> None:
+            while time.monotonic() < until - 10.0:
+                found.reports_s.append(await _crash_to_report(api, burst))
+                await asyncio.sleep(5.0)
+
+        async def memory() -> None:
+            while time.monotonic() < until:
+                found.memory_mb.append(api.memory_mb())
+                await asyncio.sleep(min(5.0, minutes))
+
+        await asyncio.gather(memory(), crashes(), *(box(number) for number in range(boxes)))
+        assert alive(api.process.pid)
+    return found
+
+
+async def _crash_to_report(api: Api, burst: bytes) -> float:
+    """Seconds from the burst's upload to its report in hand."""
+    made = await make_box(api)
+    began = time.monotonic()
+    async with Connection(api.port) as connection:
+        headers = headers_of(made["token"], "b", 0) | {"Scatola-Stream": "burst"}
+        await connection.post("/api/v1/batches", headers, burst)
+    admin = {"Authorization": f"Bearer {TOKEN}"}
+    async with httpx.AsyncClient(base_url=api.url, headers=admin, timeout=30.0, trust_env=False) as client:
+        while True:
+            asked = {"device": made["id"], "kind": "crash"}
+            items = (await client.get("/api/v1/events", params=asked)).raise_for_status().json()["items"]
+            if items:
+                report = await client.get(f"/api/v1/events/{items[0]['id']}/report.pdf")
+                assert report.raise_for_status().content.startswith(b"%PDF")
+                return time.monotonic() - began
+            if time.monotonic() - began > 120.0:
+                raise TimeoutError("no report within two minutes")
+            await asyncio.sleep(0.1)
+
+
+if __name__ == "__main__":
+    # The API process: as `scatola serve` runs it, without worker and viewer.
+    from server.logs import configure_logging
+
+    settings = Settings()
+    configure_logging(as_json=True, level=settings.log_level)
+    uvicorn.run(create_app(settings), host="127.0.0.1", port=settings.port, log_config=None, access_log=False)
