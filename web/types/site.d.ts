@@ -2,14 +2,50 @@
 
 type MapView = import("maplibre-gl").Map;
 type MapStyle = import("maplibre-gl").StyleSpecification;
+type Layer = import("maplibre-gl").LayerSpecification;
+/** The features of a map's own sources, as they are now. */
+type Sources = () => Record<string, Feature[]>;
+type Tiles = { source: import("maplibre-gl").SourceSpecification; layers: Layer[] };
+type Feature = GeoJSON.Feature;
 
 /** Of a list row on the map, as GET /fleet/places tells it. */
 type Spot = [id: string, url: string, name: string, mark: string, words: string, lat: number, lon: number];
 
 type LonLat = [number, number];
 
-/** What the live stream tells. */
-type Change = { at: string; device_id: string | null; vehicle_id: string | null };
+/** What the live stream tells, as far as scripts read it. */
+type Change = {
+  kind: string; at: string; device_id: string | null; vehicle_id: string | null;
+  lat_deg?: number | null; lon_deg?: number | null; event_id?: string; revision?: number;
+};
+
+/** What scripts tell each other on the document. */
+interface DocumentEventMap {
+  "scatola:change": CustomEvent<Change>;
+  /** Parts of the page were swapped. */
+  "scatola:parts": CustomEvent;
+  "scatola:zone": CustomEvent;
+  /** The instant (Unix seconds) under the charts' cursor, and under the pointer on the map. */
+  "scatola:cursor": CustomEvent<{ at: number | null }>;
+  "scatola:place": CustomEvent<{ at: number }>;
+}
+
+interface HTMLElementTagNameMap {
+  "scene-3d": import("../static/js/scene-3d.js").Scene3d;
+}
+
+/** What a 3D view of one's own shows, and what it tells of itself. */
+type Choice = { step?: string | null; before?: boolean; proposal?: number | null };
+type SceneState = { onlookers: number; drawn: string[] };
+
+/** Scanning codes, where the browser can (not in TypeScript's library). */
+declare class BarcodeDetector {
+  constructor(options: { formats: string[] });
+  detect(source: HTMLVideoElement): Promise<{ rawValue: string }[]>;
+}
+interface Window { BarcodeDetector?: typeof BarcodeDetector }
+
+type Timer = ReturnType<typeof setTimeout> | undefined;
 
 /** GET /api/v1/trips/{id}/track. */
 type Track = { geometry: { coordinates: [number, number][] } | null; properties: { at: string[]; speed_mps: (number | null)[] } };
@@ -19,10 +55,13 @@ type SignalHeader = {
   t0: string; frame: "a" | "v"; from: string; to: string; units: Record<string, string>;
   groups: { columns: string[]; count: number }[]; gaps: [number, number][];
 };
-type Signals = { header: SignalHeader; series: Record<string, { t: Float64Array; values: Float32Array }> };
+/** `t` in Unix seconds. */
+type Samples = { t: Float64Array; values: Float32Array };
+type Signals = { header: SignalHeader; series: Record<string, Samples> };
 type TimeWindow = { seconds: number } | { from: string; to: string };
 
 /** GET /api/v1/events/{id}/event.json, as far as it is drawn. */
+type Value = number | null | undefined;
 type Column = (number | null)[];
 type Pulse = {
   t_s: Column; delta_v_kmh_x: Column; delta_v_kmh_y: Column; sigma_kmh: Column; recorded_g_x: Column; recorded_g_y: Column;
@@ -33,4 +72,14 @@ type Way = {
   ellipse_long_m: Column; ellipse_short_m: Column; ellipse_deg: Column;
 };
 type EventDocument = { event: { rest: { t_s: number } | null; t0_s: number }; curves: { pulse: Pulse | null; trajectory: Way | null } };
-type Curve = { label: string; values: Column; stroke: string; dash?: number[]; sigma?: Column };
+type Plot = import("uplot");
+/** The values that an axis shows, by those that there are. */
+type ValueRange = (plot: Plot, low: number, high: number) => [number, number];
+type Ticks = (plot: Plot, ticks: number[]) => string[];
+/** A chart's options besides those that all charts have; `lines` are the series without the time. */
+type PlotParameters = ConstructorParameters<typeof import("uplot")>;
+type PlotOptions = PlotParameters[0];
+type PlotData = NonNullable<PlotParameters[1]>;
+type ChartOptions = Omit<Partial<PlotOptions>, "series" | "axes"> & { lines: PlotOptions["series"]; ticks?: Ticks };
+type Point = { t: number; place: LonLat; k: number };
+type Curve = { values: Column; stroke: string; dash?: number[]; sigma?: Column };

@@ -7,6 +7,8 @@ import { t } from "./words.js";
 showTimes();
 watch();
 
+const openMenu = () => document.querySelector("details.menu[open], .rail-more[open]");
+
 document.addEventListener("click", (event) => {
   const target = event.target instanceof Element ? event.target : null;
   const link = target?.closest("a[data-soft]");
@@ -14,8 +16,8 @@ document.addEventListener("click", (event) => {
     event.preventDefault();
     void go(link.href);
   }
-  const open = document.querySelector("details.menu[open], .rail-more[open]");
-  if (open && !open.contains(target)) open.removeAttribute("open");
+  const open = openMenu();
+  if (!open?.contains(target)) open?.removeAttribute("open");
   const button = target?.closest("[data-copy]");
   if (!(button instanceof HTMLElement) || !button.dataset.copy) return;
   const words = button.querySelector("span");
@@ -45,7 +47,7 @@ const KEYS = {
 
 document.addEventListener("keydown", (event) => {
   const at = event.target instanceof HTMLElement ? event.target : null;
-  if (event.key === "Escape") document.querySelector("details.menu[open], .rail-more[open]")?.removeAttribute("open");
+  if (event.key === "Escape") openMenu()?.removeAttribute("open");
   if (event.ctrlKey || event.metaKey || event.altKey || at?.closest("input, select, textarea, dialog, [contenteditable]")) return;
   const run = KEYS[event.key];
   if (run) { event.preventDefault(); run(); }

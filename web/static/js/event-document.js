@@ -1,18 +1,13 @@
-// The canonical JSON of an event, fetched once for everything on the page that draws from it.
+import { fetched } from "./page.js";
 
 /** @type {Map<string, Promise<EventDocument>>} */
 const asked = new Map();
 
-/** @param {string} url @returns {Promise<EventDocument>} */
-export function eventDocument(url) {
-  let promise = asked.get(url);
-  if (!promise) {
-    promise = fetch(url).then((answer) => {
-      if (!answer.ok) throw new Error(`no event: ${answer.status}`);
-      return answer.json();
-    });
-    asked.set(url, promise);
-  }
+/** The canonical JSON of the event that an element draws from, fetched once for the whole page. @param {Element} element @returns {Promise<EventDocument>} */
+export function eventDocument(element) {
+  const url = element.getAttribute("document") ?? "";
+  const promise = asked.get(url) ?? fetched(url).then((answer) => answer.json());
+  asked.set(url, promise);
   return promise;
 }
 

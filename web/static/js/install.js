@@ -1,15 +1,14 @@
 // The installation assistant: scanning a code where the browser can, orientations in 3D, a sign when the box is ready.
 
-import { Scene3d } from "./scene-3d.js";
+import { told } from "./page.js";
+import "./scene-3d.js";
 import { t } from "./words.js";
 
-/** @typedef {{detect(source: HTMLVideoElement): Promise<{rawValue: string}[]>}} Detector */
-const Detectors = /** @type {{BarcodeDetector?: new (options: {formats: string[]}) => Detector}} */ (window).BarcodeDetector;
 const scan = document.getElementById("scan");
 const video = document.querySelector("video");
 const field = document.getElementById("code");
 
-if (scan && video && field instanceof HTMLInputElement && Detectors && navigator.mediaDevices) {
+if (scan && video && field instanceof HTMLInputElement && window.BarcodeDetector && navigator.mediaDevices) {
   scan.hidden = false;
   scan.addEventListener("click", async () => {
     try {
@@ -18,7 +17,7 @@ if (scan && video && field instanceof HTMLInputElement && Detectors && navigator
       scan.hidden = true;
       video.hidden = false;
       await video.play();
-      const detector = new Detectors({ formats: ["qr_code", "code_128", "data_matrix"] });
+      const detector = new BarcodeDetector({ formats: ["qr_code", "code_128", "data_matrix"] });
       for (;;) {
         const [found] = await detector.detect(video);
         if (found) {
@@ -40,17 +39,15 @@ if (scan && video && field instanceof HTMLInputElement && Detectors && navigator
 const proposals = [...document.querySelectorAll("[data-proposal]")];
 for (const one of proposals) {
   one.addEventListener("click", () => {
-    for (const other of proposals) other.setAttribute("aria-pressed", String(other === one));
-    const scene = document.querySelector("scene-3d");
-    if (scene instanceof Scene3d) scene.show({ proposal: Number(one.getAttribute("data-proposal")) });
+    for (const other of proposals) other.ariaPressed = String(other === one);
+    document.querySelector("scene-3d")?.show({ proposal: Number(one.getAttribute("data-proposal")) });
   });
 }
 
 // Off unless switched on: a car park at night, a meeting.  A sound needs the press that switches it on.
 const signal = document.getElementById("signal");
-/** @type {AudioContext | undefined} */
-let audio;
-const ready = () => document.getElementById("progress")?.dataset.ready === "yes";
+/** @type {AudioContext | undefined} */ let audio;
+const ready = () => told("progress").ready === "yes";
 let was = ready();
 
 signal?.addEventListener("change", () => { audio ??= new AudioContext(); });

@@ -5,8 +5,6 @@
 import { formatTimes } from "./time.js";
 import { t } from "./words.js";
 
-/** @typedef {{at: string, device_id: string | null, vehicle_id: string | null}} Change */
-
 const KINDS = ["batch", "installation", "trip", "position", "moved", "device", "vehicle", "event", "alert", "analysis"];
 /** Changes come in crowds; a second's worth of them is one fetch, and a page that takes long to make waits longer. */
 const SETTLE_MS = 1000;
@@ -15,8 +13,7 @@ const REST_PER_WORK = 8;
 const URGENT_MS = 100;
 const RETRY_MS = 5000;
 
-/** @type {ReturnType<typeof setTimeout> | undefined} */
-let pending;
+/** @type {Timer} */ let pending;
 let stale = false;
 /** Not before: a large fleet changes all the time, and its page is not made all the time. */
 let restUntil = 0;
@@ -41,19 +38,19 @@ function connect() {
   for (const kind of KINDS) {
     source.addEventListener(kind, (event) => {
       /** @type {Change} */
-      const change = JSON.parse(event.data);
-      document.dispatchEvent(new CustomEvent("scatola:change", { detail: { kind, ...change } }));
-      if (concerns(kind, change)) refreshSoon(kind === "event" || kind === "alert" ? URGENT_MS : SETTLE_MS);
+      const change = { kind, ...JSON.parse(event.data) };
+      document.dispatchEvent(new CustomEvent("scatola:change", { detail: change }));
+      if (concerns(change)) refreshSoon(kind === "event" || kind === "alert" ? URGENT_MS : SETTLE_MS);
     });
   }
   addEventListener("pagehide", () => source.close());
 }
 
-/** Whether the page is about what changed; a page without a subject is about everything. @param {string} kind @param {Change} change */
-function concerns(kind, change) {
+/** Whether the page is about what changed; a page without a subject is about everything. @param {Change} change */
+function concerns({ kind, device_id: device, vehicle_id: vehicle }) {
   const about = document.body.dataset.about?.split(" ").filter(Boolean) ?? [];
   if (kind === "analysis") return about.includes(kind);
-  return about.length === 0 || about.some((id) => id === change.device_id || id === change.vehicle_id);
+  return about.length === 0 || about.some((id) => id === device || id === vehicle);
 }
 
 /** @param {"on" | "off"} state @param {string} words */
@@ -63,7 +60,7 @@ function say(state, words) {
   if (sign && text) { sign.dataset.state = state; text.textContent = words; }
 }
 
-/** @type {number} When the waiting refresh is due. */
+/** When the waiting refresh is due. */
 let dueAt = 0;
 
 /** @param {number} within milliseconds */
@@ -107,13 +104,12 @@ function swap(fresh) {
     const next = fresh.getElementById(part.id);
     if (!next || sent.get(part) === next.outerHTML) continue;
     const html = next.outerHTML;
-    const focused = part.contains(document.activeElement) ? document.activeElement : null;
-    const anchor = focused instanceof HTMLAnchorElement ? focused.getAttribute("href") : null;
+    const focused = part.querySelector("a:focus")?.getAttribute("href");
     const adopted = document.adoptNode(next);
     formatTimes(adopted);
     part.replaceWith(adopted);
     sent.set(adopted, html);
-    if (anchor) /** @type {HTMLElement | null} */ (adopted.querySelector(`a[href="${CSS.escape(anchor)}"]`))?.focus({ preventScroll: true });
+    if (focused) [...adopted.querySelectorAll("a")].find((a) => a.getAttribute("href") === focused)?.focus({ preventScroll: true });
   }
   document.dispatchEvent(new CustomEvent("scatola:parts"));
 }

@@ -1,19 +1,18 @@
 // The mounting in 3D: the slider walks through the history; page and picture show the same step.
 
 import { go } from "./live.js";
-import { Scene3d } from "./scene-3d.js";
+import { told } from "./page.js";
+import "./scene-3d.js";
 
 const slider = /** @type {HTMLInputElement} */ (document.getElementById("step"));
 const ghost = /** @type {HTMLInputElement} */ (document.getElementById("before"));
-/** @type {ReturnType<typeof setTimeout> | undefined} */
-let pending;
+/** @type {Timer} */ let pending;
 
 /** The step under the slider; none for the newest, which goes on with the data. */
 function show() {
-  const steps = document.getElementById("moment")?.dataset.steps?.split(" ") ?? [];
-  const step = Number(slider.value) < steps.length - 1 ? steps[Number(slider.value)] : undefined;
-  const scene = document.querySelector("scene-3d");
-  if (scene instanceof Scene3d) scene.show({ step: step ?? null, before: ghost.checked });
+  const steps = told("moment").steps?.split(" ") ?? [];
+  const step = steps.slice(0, -1)[Number(slider.value)];
+  document.querySelector("scene-3d")?.show({ step: step ?? null, before: ghost.checked });
   return new URLSearchParams({ ...(step && { step }), ...(ghost.checked && { before: "true" }) });
 }
 
@@ -25,10 +24,10 @@ function changed() {
 
 /** The page was renewed, by its data or by a link. */
 function follow() {
-  const { steps = "", shown = "", words = "" } = document.getElementById("moment")?.dataset ?? {};
+  const { steps = "", shown = "", words = "" } = told("moment");
   slider.max = String(steps.split(" ").length - 1);
   slider.value = shown;
-  slider.setAttribute("aria-valuetext", words);
+  slider.ariaValueText = words;
   show();
 }
 

@@ -3,5 +3,7 @@ export function colour(name) {
   return getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
 }
 
-/** An axis as every chart has it. */
-export const chartAxis = () => ({ stroke: colour("muted"), grid: { stroke: colour("line"), width: 1 }, ticks: { show: false }, font: "12px system-ui, sans-serif" });
+/** Run when the reader changes between light and dark. @param {() => void} run */
+export function onScheme(run) {
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", run);
+}

@@ -2,11 +2,8 @@
 // player, in a frame of our own origin, opened with a short-lived ticket.  `own`: a scene that nobody else sees, which
 // shows what `show` asks for; the page looks after it and says when it is gone.
 
-import { whenSeen } from "./seen.js";
+import { csrf, fetched, make, whenSeen } from "./page.js";
 import { t } from "./words.js";
-
-/** @typedef {{step?: string | null, before?: boolean, proposal?: number | null}} Choice */
-/** @typedef {{onlookers: number, drawn: string[]}} State */
 
 const LOOK_MS = 3000;
 /** Until the view has connected. */
@@ -15,8 +12,7 @@ const PATIENCE = 50;
 
 export class Scene3d extends HTMLElement {
   #base = "";
-  /** @type {Choice} */
-  #wanted = {};
+  /** @type {Choice} */ #wanted = {};
   #told = true;
 
   connectedCallback() {
@@ -37,18 +33,16 @@ export class Scene3d extends HTMLElement {
     try {
       const event = this.getAttribute("event");
       const subject = event ? `events/${event}` : `devices/${this.getAttribute("device")}`;
-      const answer = await fetch(`/api/v1/${subject}/view-ticket`, { method: "POST", headers: csrf() });
-      if (!answer.ok) throw new Error(`no ticket: ${answer.status}`);
+      const ticket = await fetched(`/api/v1/${subject}/view-ticket`, { method: "POST", headers: csrf() });
       /** @type {{url: string}} */
-      const { url } = await answer.json();
+      const { url } = await ticket.json();
       const own = this.hasAttribute("own");
       this.#base = own ? `${url}mounting/` : url;
       // Asked first, because a frame does not tell its page that it got an error.
-      const view = await fetch(own ? `${this.#base}state` : url);
+      const view = await fetched(own ? `${this.#base}state` : url);
       void view.body?.cancel();
-      if (!view.ok) throw new Error(`no view: ${view.status}`);
       const recording = event ? `${url}events/${event}.viser` : "";
-      const frame = document.createElement("iframe");
+      const frame = make("iframe", "");
       const dark = matchMedia("(prefers-color-scheme: dark)").matches;
       frame.title = event ? t("Replay of the event, in three dimensions") : t("Box in the vehicle, in three dimensions");
       frame.src = `${this.#base}?hideViserLogo${dark ? "&darkMode" : ""}${recording && `&playbackPath=${encodeURIComponent(recording)}`}`;
@@ -78,14 +72,13 @@ export class Scene3d extends HTMLElement {
     }
   }
 
-  /** What the view shows; tells it first what it should, once it is there. @returns {Promise<State | null>} */
+  /** What the view shows; tells it first what it should, once it is there. @returns {Promise<SceneState | null>} */
   async #ask() {
     const tell = !this.#told && this.dataset.state === "open";
     this.#told ||= tell;
     try {
-      const answer = await fetch(`${this.#base}state`, tell ? { method: "PUT", headers: csrf(), body: JSON.stringify(this.#wanted) } : {});
-      if (!answer.ok) throw new Error(`no state: ${answer.status}`);
-      /** @type {State} */
+      const answer = await fetched(`${this.#base}state`, tell ? { method: "PUT", headers: csrf(), body: JSON.stringify(this.#wanted) } : {});
+      /** @type {SceneState} */
       const state = await answer.json();
       this.dataset.drawn = state.drawn.join(" ");
       return state;
@@ -98,27 +91,18 @@ export class Scene3d extends HTMLElement {
   /** @param {string} words */
   #lost(words) {
     this.dataset.state = "lost";
-    const again = document.createElement("button");
+    const again = make("button", "", t("Try again"));
     again.type = "button";
-    again.textContent = t("Try again");
     again.addEventListener("click", () => void this.#open());
     this.#say(words, again);
   }
 
   /** @param {string} words @param {HTMLElement[]} more */
   #say(words, ...more) {
-    const box = document.createElement("div");
-    box.className = "scene-words";
-    box.setAttribute("role", "status");
-    const line = document.createElement("p");
-    line.textContent = words;
-    box.append(line, ...more);
+    const box = make("div", "scene-words", make("p", "", words), ...more);
+    box.role = "status";
     this.replaceChildren(box);
   }
-}
-
-function csrf() {
-  return { "X-CSRF-Token": document.querySelector('meta[name="csrf-token"]')?.getAttribute("content") ?? "" };
 }
 
 customElements.define("scene-3d", Scene3d);

@@ -1,16 +1,31 @@
-// Reads the answer of GET /api/v1/devices/{id}/signals: header length, JSON header, times and columns.
+import { t } from "./words.js";
 
-/** @param {ArrayBuffer} body @returns {Signals} */
-export function decode(body) {
+/** Samples of a box; fails with words for the reader. @param {string | null} device @param {Record<string, any>} query @param {AbortSignal} [signal] */
+export async function fetchSignals(device, query, signal) {
+  const answer = await fetch(`/api/v1/devices/${device}/signals?${new URLSearchParams(query)}`, { signal }).catch((error) => {
+    throw new Error(t("The service cannot be reached."), { cause: error });
+  });
+  if (answer.ok) return decode(await answer.arrayBuffer());
+  /** @type {{detail?: string}} */
+  const problem = await answer.json().catch(() => ({}));
+  throw new Error(problem.detail ?? t("The signals could not be read"));
+}
+
+/** @param {number} s Unix seconds */
+export const iso = (s) => new Date(s * 1000).toISOString();
+
+/** The answer: length of the header, header in JSON, times and columns. @param {ArrayBuffer} body @returns {Signals} */
+function decode(body) {
   const headerLength = new DataView(body).getUint32(0, true);
   /** @type {SignalHeader} */
   const header = JSON.parse(new TextDecoder().decode(new Uint8Array(body, 4, headerLength)));
   /** @type {Signals["series"]} */
   const series = {};
+  const t0 = Date.parse(header.t0) / 1000;
   let offset = 4 + headerLength;
   for (const { columns, count } of header.groups) {
     // Sliced, because a typed array must begin at a multiple of its element's size.
-    const t = new Float64Array(body.slice(offset, offset + 8 * count));
+    const t = new Float64Array(body.slice(offset, offset + 8 * count)).map((s) => t0 + s);
     offset += 8 * count;
     for (const name of columns) {
       series[name] = { t, values: new Float32Array(body.slice(offset, offset + 4 * count)) };

@@ -11,36 +11,29 @@ export function formatter(style) {
   return new Intl.DateTimeFormat(LANGUAGE, { ...style, ...(utc && { timeZone: "UTC" }) });
 }
 
-function formatters() {
-  const clock = /** @type {const} */ ({ day: "2-digit", month: "short", hour: "2-digit", minute: "2-digit" });
-  return {
-    full: formatter({ ...clock, year: "numeric", second: "2-digit" }),
-    short: formatter(clock),
-    day: formatter({ day: "2-digit", month: "short", year: "numeric" }),
-  };
-}
-let formats = formatters();
+const DATE = /** @type {const} */ ({ day: "2-digit", month: "short" });
+const CLOCK = /** @type {const} */ ({ ...DATE, hour: "2-digit", minute: "2-digit" });
 
-/** @param {Date} at @param {number} now milliseconds */
-function ago(at, now) {
+/** @param {Date} at @param {number} now milliseconds @param {Intl.DateTimeFormat} day */
+function ago(at, now, day) {
   const seconds = Math.round((now - at.getTime()) / 1000);
   if (seconds < 5) return t("now");
   if (seconds < MINUTE_S) return t("{n} s ago", { n: seconds - (seconds % 5) });
   if (seconds < HOUR_S) return t("{n} min ago", { n: Math.floor(seconds / MINUTE_S) });
   if (seconds < DAY_S) return t("{n} h ago", { n: Math.floor(seconds / HOUR_S) });
-  return formats.day.format(at);
+  return day.format(at);
 }
 
 /** Words for every time element below a root. @param {ParentNode} root */
 export function formatTimes(root = document) {
-  const now = Date.now();
-  for (const element of root.querySelectorAll("time[datetime]")) {
-    if (!(element instanceof HTMLTimeElement)) continue;
+  const now = Date.now(), day = formatter({ ...DATE, year: "numeric" });
+  const short = formatter(CLOCK), full = formatter({ ...CLOCK, year: "numeric", second: "2-digit" });
+  for (const element of root.querySelectorAll("time")) {
     const at = new Date(element.dateTime);
     const style = element.dataset.style;
-    const words = style === "ago" ? ago(at, now) : (style === "short" ? formats.short : formats.full).format(at);
+    const words = style === "ago" ? ago(at, now, day) : (style === "short" ? short : full).format(at);
     if (element.textContent !== words) element.textContent = words;
-    const title = `${formats.full.format(at)} (${at.toISOString().slice(0, 19)}Z)`;
+    const title = `${full.format(at)} (${at.toISOString().slice(0, 19)}Z)`;
     if (element.title !== title) element.title = title;
   }
 }
@@ -53,7 +46,6 @@ function sayZone() {
 export function changeZone() {
   utc = !utc;
   localStorage.setItem(KEY, utc ? "1" : "");
-  formats = formatters();
   sayZone();
   formatTimes();
   document.dispatchEvent(new CustomEvent("scatola:zone"));

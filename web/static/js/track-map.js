@@ -1,46 +1,33 @@
 // <track-map last="id of the part that names the trip and position" tiles="" pmtiles="">: where the trip went, coloured
 // by speed, or where the vehicle stands before the first.  The charts' cursor is a point on the way.
 
-import { ROUND, collection, fit, makeMap, namedPoints, note, put } from "./basemap.js";
-import { colour } from "./palette.js";
-import { whenSeen } from "./seen.js";
-import { SPEED, t } from "./words.js";
-
-/** Speeds of the colours, m/s: standing, town, country road, motorway. */
-const RAMP = /** @type {const} */ ([[0, "#3b6fd4"], [14, "#22a884"], [25, "#e6b422"], [36, "#d93a3a"]]);
+import { feature, fit, makeMap, note, put } from "./basemap.js";
+import { fetched, told, whenSeen } from "./page.js";
+import { t } from "./words.js";
 
 class TrackMap extends HTMLElement {
   /** @type {MapView | undefined} */ #map;
-  /** @type {[number, number][]} */ #points = [];
+  /** @type {LonLat[]} */ #points = [];
   /** Unix seconds of each point. @type {number[]} */ #at = [];
   /** @type {(number | null)[]} */ #speed = [];
-  /** Where the vehicle stands, as long as there is no trip. @type {[number, number] | undefined} */ #place;
+  /** Where the vehicle stands, as long as there is no trip. @type {LonLat | undefined} */ #place;
   /** What is drawn: the trip and how far it had got. */
   #drawn = "";
   /** The trip that the view was fitted to; a reader who moved the map since is left alone. */
   #fitted = "";
 
   connectedCallback() {
-    whenSeen(this, () => {
-      this.#map = makeMap(this, (map) => this.#dress(map));
+    whenSeen(this, async () => {
+      this.#map = await makeMap(this, "track", () => ({ track: this.#lines(), ends: this.#ends(), cursor: [] }));
       this.#map.on("mousemove", "track-edge", (event) => this.#point(event.lngLat.lng, event.lngLat.lat));
       document.addEventListener("scatola:parts", this.#update);
-      document.addEventListener("scatola:cursor", this.#onCursor);
+      document.addEventListener("scatola:cursor", ({ detail: { at } }) => {
+        const k = at === null ? -1 : this.#at.findIndex((t) => t >= at), place = this.#points[k];
+        this.dataset.cursor = place ? String(k) : "";
+        put(this.#map, "cursor", place ? [feature("Point", place)] : []);
+      });
       void this.#update();
     });
-  }
-
-  /** @param {MapView} map */
-  #dress(map) {
-    map.addSource("track", { type: "geojson", data: this.#lines() });
-    map.addSource("cursor", { type: "geojson", data: collection([]) });
-    map.addLayer({ id: "track-edge", type: "line", source: "track", layout: ROUND, paint: { "line-color": colour("card"), "line-width": 8 } });
-    map.addLayer({
-      id: "track", type: "line", source: "track", layout: ROUND,
-      paint: { "line-width": 4, "line-color": ["case", ["<", ["get", "v"], 0], colour("unknown-fill"), ["interpolate", ["linear"], ["get", "v"], ...RAMP.flat()]] },
-    });
-    namedPoints(map, "ends", this.#ends(), ["case", ["==", ["get", "end"], "start"], colour("card"), colour("ink")], colour("ink"));
-    map.addLayer({ id: "cursor", type: "circle", source: "cursor", paint: { "circle-radius": 7, "circle-color": colour("accent"), "circle-stroke-width": 3, "circle-stroke-color": colour("card") } });
   }
 
   /** Pieces of one speed, a metre a second wide: a line has one colour. */
@@ -50,40 +37,25 @@ class TrackMap extends HTMLElement {
       const v = Math.round(this.#speed[i + 1] ?? -1);
       let j = i + 1;
       while (j + 1 < this.#points.length && Math.round(this.#speed[j + 1] ?? -1) === v) j++;
-      features.push({ type: "Feature", properties: { v }, geometry: { type: "LineString", coordinates: this.#points.slice(i, j + 1) } });
+      features.push(feature("LineString", this.#points.slice(i, j + 1), { v }));
       i = j;
     }
-    return collection(features);
+    return features;
   }
 
   #ends() {
     const [first] = this.#points, last = this.#points.at(-1);
-    const ends = first && last ? [[first, "start", t("start")], [last, "end", t("end")]] : this.#place ? [[this.#place, "end", t("last position")]] : [];
-    return collection(ends.map(([coordinates, end, say]) => (
-      { type: "Feature", properties: { end, say }, geometry: { type: "Point", coordinates } })));
+    if (first && last) return [feature("Point", first, { end: "start", say: t("start") }), feature("Point", last, { end: "end", say: t("end") })];
+    return this.#place ? [feature("Point", this.#place, { end: "end", say: t("last position") })] : [];
   }
 
   #draw() {
     put(this.#map, "track", this.#lines());
     put(this.#map, "ends", this.#ends());
-    this.querySelector(".speed-key")?.remove();
-    if (this.#points.length < 2) return;
-    const key = document.createElement("div");
-    key.className = "speed-key";
-    key.innerHTML = `<div class="speed-ramp"></div><div class="speed-ends"><span>0</span><span>${Math.round(RAMP[3][0] * SPEED.perMps)} ${SPEED.unit}</span></div>`;
-    this.append(key);
+    this.querySelector(".speed-key")?.toggleAttribute("hidden", this.#points.length < 2);
   }
 
-  /** The instant under the charts' cursor. @param {Event} event */
-  #onCursor = (event) => {
-    const at = /** @type {CustomEvent<{at: number | null}>} */ (event).detail.at;
-    const k = at === null ? -1 : this.#at.findIndex((t) => t >= at);
-    const coordinates = this.#points[k];
-    this.dataset.cursor = coordinates ? String(k) : "";
-    put(this.#map, "cursor", collection(coordinates ? [{ type: "Feature", properties: {}, geometry: { type: "Point", coordinates } }] : []));
-  };
-
-  /** The other way: the instant at which the vehicle was here. @param {number} lon @param {number} lat */
+  /** The instant at which the vehicle was here. @param {number} lon @param {number} lat */
   #point(lon, lat) {
     const shrink = Math.cos((lat * Math.PI) / 180);
     const far = this.#points.map(([x, y]) => ((x - lon) * shrink) ** 2 + (y - lat) ** 2);
@@ -104,14 +76,14 @@ class TrackMap extends HTMLElement {
   }
 
   #update = async () => {
-    const { track = "", to = "", lat = "", lon = "" } = document.getElementById(this.getAttribute("last") ?? "")?.dataset ?? {};
+    const { track = "", to = "", lat = "", lon = "" } = told(this.getAttribute("last"));
     const key = `${track} ${to}`;
     if (!track) { this.#stand(lat, lon); return; }
     if (key === this.#drawn) return;
     this.#drawn = key;
-    const response = await fetch(track).catch(() => undefined);
+    const response = await fetched(track).catch(() => undefined);
     if (key !== this.#drawn) return;  // another trip was chosen meanwhile
-    if (!response?.ok) { note(this, t("The track could not be read")); this.#drawn = ""; return; }
+    if (!response) { note(this, t("The track could not be read")); this.#drawn = ""; return; }
     const { geometry, properties } = /** @type {Track} */ (await response.json());
     this.#points = geometry?.coordinates ?? [];
     this.#at = properties.at.map((at) => Date.parse(at) / 1000);
@@ -120,7 +92,7 @@ class TrackMap extends HTMLElement {
     note(this, "");
     this.#draw();
     this.dataset.points = String(this.#points.length);
-    if (this.#map && this.#fitted !== track && this.#points.length > 0) { this.#fitted = track; fit(this.#map, this.#points, 16); }
+    if (this.#map && this.#fitted !== track) { this.#fitted = track; fit(this.#map, this.#points, 16); }
   };
 }
 
