@@ -22,14 +22,12 @@ const STATES = Object.keys(SHAPES);
 class FleetMap extends HTMLElement {
   /** @type {MapView | undefined} */ #map;
   /** By id. @type {Map<string, Spot>} */ #places = new Map();
-  /** What the view was fitted to; a reader who moved the map since is left alone. */
-  #fitted = "";
-  #touched = false;
+  /** What the view was fitted to, unless the reader moved it. */ #fitted = ""; #touched = false;
   #asked = 0;
 
   async connectedCallback() {
     const map = (this.#map = await makeMap(this, "fleet", () => ({ boxes: this.#features() })));
-    map.on("style.load", () => STATES.forEach((state) => map.addImage(state, mark(state), { pixelRatio: 2 })));
+    map.setMissingStyleImageResolver(async (state) => { if (!map.hasImage(state)) map.addImage(state, mark(state), { pixelRatio: 2 }); });
     const popup = new Popup({ closeButton: false, closeOnClick: false, offset: 14 });
     map.on("mousemove", "boxes", ({ features, lngLat }) => {
       const { name, words } = features?.[0]?.properties ?? {};
