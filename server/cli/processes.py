@@ -67,7 +67,7 @@ def analysis(args: argparse.Namespace) -> int:
     from server.jobs.supervise import follow_parent
     from server.jobs.worker import utc_now
     from server.store import open_store
-    from server.telemetry import configure_logging
+    from server.logs import configure_logging
 
     settings = Settings()
     configure_logging(as_json=settings.log_json, level=settings.log_level)
