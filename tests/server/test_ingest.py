@@ -361,7 +361,7 @@ def test_a_connection_that_ends_within_the_body_stores_nothing(box, database, ad
 
 
 def test_a_body_that_does_not_come_is_given_up(box, address, monkeypatch):
-    monkeypatch.setattr("server.ingest.routes.BODY_TIMEOUT_S", 0.2)
+    monkeypatch.setattr("server.ingest.body.BODY_TIMEOUT_S", 0.2)
     host, port = address.removeprefix("http://").split(":")
     head = (
         "POST /api/v1/batches HTTP/1.1\r\nHost: x\r\n"
@@ -481,7 +481,7 @@ def test_nothing_is_acknowledged_that_is_not_durable(app, client, make_device, d
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(app.state.store, "put", full)
-    assert box.send(0).status_code == 500
+    assert box.send(0).status_code == 507
     monkeypatch.undo()
     with database.reading() as session:
         assert session.scalar(sa.select(sa.func.count()).select_from(Batch)) == 0
