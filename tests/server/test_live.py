@@ -60,7 +60,7 @@ def test_a_change_arrives(admin, tell):
     with Stream(admin, **{"Last-Event-ID": "0"}) as stream:
         assert stream.answer.headers["content-type"].startswith("text/event-stream")
         assert stream.answer.headers["cache-control"] == "no-store"
-        (changed,) = tell("position", lat_deg=45.0)
+        (changed,) = tell("position", lat_deg=45.0, lon_deg=9.0)
         event = stream.event()
     assert event["event"] == "position"
     assert event["id"] == str(changed)
