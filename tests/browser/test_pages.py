@@ -88,6 +88,11 @@ def test_the_fleet_page_says_how_every_box_stands_and_draws_a_map(open_page, scr
     assert count_near(image, css(page, "land"), 6) > 0.2 * image[..., 0].size
     assert count_near(image, css(page, "sea"), 6) > 0.1 * image[..., 0].size
     screenshot(page, "fleet")
+    # Another scheme draws the whole map anew, also when the reader changes it again at once.
+    for scheme in ("dark", "light", "dark"):
+        page.emulate_media(color_scheme=scheme)
+    for colour in ("good-fill", "alarm-fill"):
+        wait_drawn(page, fleet_map, css(page, colour), 80)
 
 
 def test_the_vehicle_page_shows_mounting_history_track_and_signals(site, open_page, screenshot):
@@ -118,6 +123,10 @@ def test_the_vehicle_page_shows_mounting_history_track_and_signals(site, open_pa
         wait_drawn(page, page.locator(f'[data-plot="{plot}"] canvas'), css(page, colour), 200)
     expect(page.get_by_role("button", name="Vehicle axes")).to_have_attribute("aria-pressed", "true")
     screenshot(page, "vehicle")
+    page.emulate_media(color_scheme="dark")
+    wait_drawn(page, track, css(page, "land"), 1000)
+    wait_drawn(page, track, "#22a884", 30)
+    wait_drawn(page, page.locator('[data-plot="force"] canvas'), css(page, "axis-x"), 200)
 
 
 def test_dragging_over_a_chart_fetches_the_part_and_a_double_click_goes_back(site, open_page):
