@@ -18,6 +18,22 @@ from tempfile import TemporaryDirectory
 from playwright.sync_api import Page, sync_playwright
 
 SHOWN = "Iveco Daily"
+ORIGIN: list[str] = []
+"""Where the demo is served, once known."""
+PAGES = {
+    "vehicles": "/vehicles",
+    "trips": "/trips",
+    "events": "/events",
+    "alerts": "/alerts",
+    "install": "/install",
+    "workbench": "/workbench",
+    "admin": "/admin",
+    "boxes": "/admin/boxes",
+    "rules": "/admin/alerts",
+    "privacy": "/privacy",
+    "account": "/account",
+}
+ON_PHONE = {"fleet": "/", "install": "/install", "events": "/events", "alerts": "/alerts"}
 FLAGS = ("--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
 
 
@@ -38,6 +54,7 @@ def main() -> None:
 
 def take(link: str, out: Path) -> None:
     """Sign in and photograph the fleet and one vehicle, on a desk and on a phone, light and dark."""
+    ORIGIN[:] = [link.split("/login", maxsplit=1)[0]]
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=list(FLAGS))
         context = browser.new_context(viewport={"width": 1280, "height": 900})
@@ -47,6 +64,9 @@ def take(link: str, out: Path) -> None:
         page.get_by_role("button", name="Sign in with the code").click()
         page.get_by_role("row", name=SHOWN).get_by_text("moved", exact=True).wait_for()
         photograph(page, out / "fleet.png", settle_s=8)
+        page.goto(ORIGIN[0] + "/events")
+        event = page.locator("main a[href^='/events/']").first.get_attribute("href")
+        page.goto(ORIGIN[0] + "/")
         page.get_by_role("link", name=SHOWN).first.click()
         page.wait_for_load_state()
         # Maps are drawn when they come into view.
@@ -54,13 +74,28 @@ def take(link: str, out: Path) -> None:
         page.wait_for_timeout(8_000)
         photograph(page, out / "vehicle.png", settle_s=40, full_page=True)
         address, state = page.url, context.storage_state()
+        guide(page, out, {**PAGES, "event": event or "/events", "mounting": f"{page.url}/mounting"})
         page.close()
         phone = browser.new_context(viewport={"width": 390, "height": 844}, color_scheme="dark", storage_state=state)
         page = phone.new_page()
         page.set_default_timeout(120_000)
         page.goto(address)
         photograph(page, out / "vehicle-phone.png", settle_s=40)
+        phone.close()
+        phone = browser.new_context(viewport={"width": 390, "height": 844}, storage_state=state)
+        guide(phone.new_page(), out, ON_PHONE, suffix="-phone")
         browser.close()
+
+
+def guide(page: Page, out: Path, paths: dict[str, str], *, suffix: str = "") -> None:
+    """Photograph pages of the user's guide."""
+    page.set_default_timeout(120_000)
+    for name, path in paths.items():
+        page.goto(path if path.startswith("http") else ORIGIN[0] + path)
+        # Pictures come into view one after the other.
+        for chart in page.locator("event-map, event-charts, scene-3d").all():
+            chart.scroll_into_view_if_needed()
+        photograph(page, out / f"guide-{name}{suffix}.png", settle_s=25 if page.locator("scene-3d").count() else 4)
 
 
 def photograph(page: Page, path: Path, *, settle_s: float, full_page: bool = False) -> None:
