@@ -14,7 +14,7 @@ from server.accounts.service import open_session
 from server.models import Device, EventRevision, JobFailure, Rerun, RerunItem, User, new_id
 from tests.browser.conftest import ARTIFACTS
 from tests.browser.test_events import event
-from tests.browser.test_every_page import AXE, RUN_AXE
+from tests.browser.test_every_page import RUN_AXE, axe_source
 from tests.browser.test_pages import CONTRAST
 
 __all__ = ["event"]
@@ -63,7 +63,7 @@ def troubled(site, event) -> str:
 
 def keep(page, screenshot, name):
     """Pictures at desk and phone width, both schemes; nothing overflows, nothing is hard to read, axe is content."""
-    page.evaluate(AXE.read_text())
+    page.evaluate(axe_source())
     page.evaluate("scrollTo(0, 0)")
     for width, which in ((1280, "desk"), (390, "phone")):
         page.set_viewport_size({"width": width, "height": 844})

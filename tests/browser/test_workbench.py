@@ -17,7 +17,7 @@ from server.formats.columns import Columns
 from server.formats.drive import from_drive
 from server.jobs.analyses import Runner
 from server.jobs.work import bring_up_to_date
-from tests.browser.test_every_page import AXE, RUN_AXE
+from tests.browser.test_every_page import RUN_AXE, axe_source
 from tests.browser.test_pages import CONTRAST
 from tests.recordings import folder
 
@@ -117,7 +117,7 @@ def test_an_engineer_analyses_a_real_recording(
     page.set_viewport_size({"width": 390, "height": 844})
     assert page.evaluate("document.documentElement.scrollWidth") <= 390
     screenshot(page, f"workbench-{make.__name__}-phone")
-    page.evaluate(AXE.read_text())
+    page.evaluate(axe_source())
     assert page.evaluate(RUN_AXE) == []
     for scheme in ("light", "dark"):
         page.emulate_media(color_scheme=scheme)
