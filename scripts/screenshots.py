@@ -105,8 +105,8 @@ def photograph(page: Page, path: Path, *, settle_s: float, full_page: bool = Fal
         page.wait_for_timeout(500)
         for frame in page.frames:
             notice = frame.locator(".mantine-Notification-closeButton")
-            if notice.count():
-                notice.first.click()
+            if notice.count() and notice.first.is_visible():
+                notice.first.dispatch_event("click")  # under software rendering a real one waits too long
     page.evaluate("window.scrollTo(0, 0)")
     page.screenshot(path=path, full_page=full_page)
 
