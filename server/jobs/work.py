@@ -40,7 +40,7 @@ from server.jobs.stretch import Piece
 from server.jobs.trips import StoredTrips, Trips, has_rested
 from server.live.changes import announce
 from server.models import Batch, BatchDigest, Boot, Device, DeviceState, MountingRevision, TrackPoint, Trip
-from server.store import BlobStore, raw_columns
+from server.store import BlobStore, raw_columns, raw_content
 from server.trips.track import REST_S
 
 Clock = Callable[[], dt.datetime]
@@ -113,15 +113,17 @@ def bring_up_to_date(
 def read_batch(store: BlobStore, batch: Batch) -> Read:
     """Columns and digest of a batch; a burst has no digest.  An unreachable store raises: the batch stays due."""
     try:
-        columns = raw_columns(store, batch)
+        content = raw_content(store, batch)
+    except KeyError:
+        return Read(None, f"blob {batch.blob_key} is missing")
+    try:
+        columns = Columns.from_parquet(content)
         if columns.column_sha256() != batch.column_sha256:
             return Read(None, "the blob's columns do not have the hash that was recorded")
         drive = to_drive(columns)
         if batch.stream != "continuous":
             return Read(None, columns=columns, clock_pair=clock_pair(drive.gnss))
         return Read(digest_drive(drive, columns.values.get("battery")), columns=columns)
-    except KeyError:
-        return Read(None, f"blob {batch.blob_key} is missing")
     except Exception as error:
         # Whatever a damaged blob raises must not stop the box.
         log.exception("batch cannot be decoded", batch_id=batch.id, device_id=batch.device_id)

@@ -2,6 +2,6 @@
 
 from server.store.blobs import BlobStore, blob_key, open_store
 from server.store.garbage import COLLECT_AGE, collect
-from server.store.raw import raw_body, raw_columns
+from server.store.raw import raw_body, raw_columns, raw_content
 
-__all__ = ["COLLECT_AGE", "BlobStore", "blob_key", "collect", "open_store", "raw_body", "raw_columns"]
+__all__ = ["COLLECT_AGE", "BlobStore", "blob_key", "collect", "open_store", "raw_body", "raw_columns", "raw_content"]

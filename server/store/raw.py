@@ -7,9 +7,14 @@ from server.models import Batch
 from server.store.blobs import BlobStore
 
 
+def raw_content(store: BlobStore, batch: Batch) -> bytes:
+    """What a batch measured as Parquet, not looked into; KeyError when it is erased or missing."""
+    return store.get(_kept(batch, batch.blob_key))
+
+
 def raw_columns(store: BlobStore, batch: Batch) -> Columns:
     """What a batch measured; KeyError when it is erased or missing."""
-    return Columns.from_parquet(store.get(_kept(batch, batch.blob_key)))
+    return Columns.from_parquet(raw_content(store, batch))
 
 
 def raw_body(store: BlobStore, batch: Batch) -> bytes | None:

@@ -174,7 +174,7 @@ def test_a_mounting_is_set_by_hand_with_a_reason(site, open_page):
 def test_the_rail_of_a_phone(open_page):
     page = open_page("/", viewport=PHONE)
     rail = page.get_by_role("navigation", name="Sections")
-    expect(rail.get_by_role("link", name="Audit")).to_be_hidden()
+    expect(rail.get_by_role("link", name="Administration")).to_be_hidden()
     rail.get_by_text("More").click()
-    rail.get_by_role("link", name="Audit").click()
-    expect(page.get_by_role("heading", level=1)).to_have_text("Audit")
+    rail.get_by_role("link", name="Administration").click()
+    expect(page.get_by_role("heading", level=1)).to_have_text("Administration")

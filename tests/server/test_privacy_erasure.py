@@ -97,13 +97,14 @@ def tell(fleet, *, at: dt.datetime) -> None:
 
 @both
 def test_alerts_claims_and_diagnosis_of_the_time_go_and_are_in_the_export(fleet, admin, vehicle_url):
-    early, late = T0 + dt.timedelta(minutes=1), T0 + dt.timedelta(days=2)
+    early = fleet.clock() - dt.timedelta(days=3)
+    late = early + dt.timedelta(days=2)
     tell(fleet, at=early)
     tell(fleet, at=late)
     archive = zipfile.ZipFile(io.BytesIO(admin.get(f"{vehicle_url}/export").content))
     for name, count in (("alerts", 2), ("alert_deliveries", 2), ("claims", 2), ("diagnosis", 4)):
         assert len(archive.read(f"{name}.jsonl").splitlines()) >= count, name
-    until = (T0 + dt.timedelta(days=1)).isoformat()
+    until = (early + dt.timedelta(days=1)).isoformat()
     admin.post(f"{vehicle_url}/erasure", json={"reason": "who drove that day", "until": until})
     assert run(fleet) == 1
     left = [row.created_at for model in (Alert, AlertDelivery) for row in fleet.rows(model)]
