@@ -43,7 +43,8 @@ def seen(lat_deg: float | None, lon_deg: float | None, sight: Sight) -> Place | 
     lat = _middle(min(max(lat_deg, -_POLE_DEG), _POLE_DEG), CELL_DEG)
     # As many cells as fit a whole turn: else the seam at 180° would cut one.
     across = 360.0 / math.floor(360.0 * math.cos(math.radians(lat)) / CELL_DEG)
-    lon = _middle(math.remainder(lon_deg, 360.0), across)
+    # The cell that begins at 180° is the one that begins at -180°.
+    lon = math.remainder(_middle(math.remainder(lon_deg, 360.0), across), 360.0)
     return Place(round(lat, 5), round(lon, 5))
 
 
