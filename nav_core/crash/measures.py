@@ -18,7 +18,6 @@ SHOWN = 0.05
 
 OLC_RATE = 200.0
 ASI_RATE = 6.0 * ASI_CUTOFF
-HEAD_RATE = 100.0
 FRONTAL = np.radians(45.0)
 
 

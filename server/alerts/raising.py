@@ -14,6 +14,7 @@ from typing import Any
 from sqlalchemy.orm import Session
 
 from server.alerts import queries
+from server.live.changes import announce
 from server.models import Alert, AlertChannel, AlertDelivery, AlertRule, new_id
 
 EMERGENCY, ORDINARY = 0, 1
@@ -132,4 +133,17 @@ def _owed(alert: Alert, channel_id: str, reason: str, now: dt.datetime) -> Alert
         created_at=now,
         due_at=now,
         attempts=0,
+    )
+
+
+def announce_alert(session: Session, alert: Alert, now: dt.datetime) -> None:
+    """Tell the live pages that an alert was raised, or looked after."""
+    announce(
+        session,
+        "alert",
+        at=now,
+        organisation_id=alert.organisation_id,
+        device_id=alert.device_id,
+        vehicle_id=alert.vehicle_id,
+        data={"alert_id": alert.id, "alert_kind": alert.kind, "severity": alert.severity},
     )

@@ -9,7 +9,7 @@ from sqlalchemy.orm import Session
 
 from server.accounts.secrets import new_token
 from server.alerts import queries
-from server.alerts.raising import recover
+from server.alerts.raising import announce_alert, recover
 from server.alerts.schemas import COOLDOWN_S, ChannelIn, ChannelMade, EmailIn, RuleIn, WebhookIn
 from server.alerts.webhook import Guard, check_url
 from server.errors import ConflictError, InvalidError
@@ -111,20 +111,8 @@ def acknowledge(session: Session, organisation_id: str, alert_id: str, *, actor:
     alert = queries.alert_of(session, organisation_id, alert_id, lock=True)
     if alert.acknowledged_at is None:
         alert.acknowledged_at, alert.acknowledged_by = now, actor[:254]
-        _announce(session, alert, now)
+        announce_alert(session, alert, now)
     return alert
-
-
-def _announce(session: Session, alert: Alert, now: dt.datetime) -> None:
-    announce(
-        session,
-        "alert",
-        at=now,
-        organisation_id=alert.organisation_id,
-        device_id=alert.device_id,
-        vehicle_id=alert.vehicle_id,
-        data={"alert_id": alert.id, "alert_kind": alert.kind, "severity": alert.severity},
-    )
 
 
 def replay(session: Session, organisation_id: str, delivery_id: str, *, now: dt.datetime) -> AlertDelivery:
@@ -180,4 +168,4 @@ def _end_alarm(session: Session, organisation_id: str, vehicle_id: str, now: dt.
     over = recover(session, session.scalars(wanted).all(), now=now)
     session.add_all(over.deliveries)
     for alert in over.alerts:
-        _announce(session, alert, now)
+        announce_alert(session, alert, now)

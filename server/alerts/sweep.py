@@ -10,9 +10,8 @@ import structlog
 from sqlalchemy import ColumnElement, Select, or_, select
 from sqlalchemy.orm import Session, aliased
 
-from server.alerts.raising import Finding, Raised, raise_all, recover
+from server.alerts.raising import Finding, Raised, announce_alert, raise_all, recover
 from server.database import Database
-from server.live.changes import announce
 from server.models import Alert, AlertRule, Device, Installation
 
 EVERY_S = 15.0
@@ -62,15 +61,7 @@ def _write(session: Session, raised: Raised, now: dt.datetime) -> int:
     session.flush()
     session.add_all(raised.deliveries)
     for alert in raised.alerts:
-        announce(
-            session,
-            "alert",
-            at=now,
-            organisation_id=alert.organisation_id,
-            device_id=alert.device_id,
-            vehicle_id=alert.vehicle_id,
-            data={"alert_id": alert.id, "alert_kind": alert.kind, "severity": alert.severity},
-        )
+        announce_alert(session, alert, now)
     return len(raised.alerts)
 
 

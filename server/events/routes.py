@@ -23,8 +23,7 @@ from server.accounts.access import (
 )
 from server.accounts.places import sight_of
 from server.database import Database
-from server.edge import DatabaseOf, Moment, Now, StoreOf
-from server.errors import InvalidError
+from server.edge import DatabaseOf, Moment, Now, StoreOf, place_of
 from server.events import exports, queries, service, verdicts
 from server.events.schemas import (
     DifferenceOut,
@@ -78,7 +77,7 @@ def list_events(
             severe=severe,
             since=since,
             until=until,
-            before=None if before is None else _place(before),
+            before=None if before is None else place_of(before),
             limit=limit + 1,
         )
         last = rows[limit - 1] if len(rows) > limit else None
@@ -86,14 +85,6 @@ def list_events(
             items=[event_out(row, sight=sight_of(caller)) for row in rows[:limit]],
             next=None if last is None else f"{last.at.isoformat()}~{last.id}",
         )
-
-
-def _place(before: str) -> tuple[dt.datetime, str]:
-    moment, _, event_id = before.partition("~")
-    try:
-        return dt.datetime.fromisoformat(moment).astimezone(dt.UTC), event_id
-    except (ValueError, OverflowError):  # the last: a day before the first or after the last of the calendar
-        raise InvalidError("`before` is not what a page gave as `next`", code="before") from None
 
 
 @router.get("/verdicts", responses={200: {"content": {"text/csv": {"schema": {"type": "string"}}}}})

@@ -35,7 +35,6 @@ if TYPE_CHECKING:
 
 CELL = ParagraphStyle("cell", fontName=PLAIN, fontSize=8.5, leading=11, textColor=INK)
 HEAD = ParagraphStyle("head", fontName=PLAIN, fontSize=7.5, leading=10, textColor=MUTED)
-STRONG = ParagraphStyle("strong", parent=CELL, fontName=BOLD)
 HASH = ParagraphStyle("hash", fontName=MONO, fontSize=6.2, leading=8, textColor=INK, splitLongWords=1)
 BIG = ParagraphStyle("big", fontName=BOLD, fontSize=17, leading=21, textColor=INK)
 MAX_LINKS = 12
