@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -194,6 +196,20 @@ def test_the_symmetric_form_is_the_triangular_one_turned():
     np.testing.assert_allclose(np.linalg.norm(one.correct(readings), axis=1) - G, one.residuals, atol=1e-12)
 
 
+def test_nine_poses_calibrate_the_voltages_of_001_b3():
+    # MMA7341L at 11 g: 117.5 mV/g about half of 3.3 V, read by 10 bits.  B.3 promises 1e-2 V and 1e-2 V/g from nine.
+    rng = np.random.default_rng(73)
+    step = 3.3 / 1024.0
+    for _ in range(200):
+        own, cross = 0.1175 * rng.uniform(0.95, 1.05, 3), rng.uniform(-2e-3, 2e-3, 3)
+        A = np.diag(own) + np.array([[0, cross[0], cross[1]], [cross[0], 0, cross[2]], [cross[1], cross[2], 0]])
+        beta = 1.65 + rng.uniform(-0.1, 0.1, 3)
+        volts = step * np.round((spread_out(9, rng) @ A + beta) / step)
+        found = calibrate_positions(volts, 1.0, form="symmetric", noise=step / np.sqrt(12.0))
+        np.testing.assert_allclose(found.values, [*beta, *own, *cross], atol=1e-2)
+        assert found.poses.count == 9
+
+
 @settings(max_examples=25, deadline=None)
 @given(st.integers(0, 10**6), st.sampled_from(["triangular", "symmetric"]))
 def test_how_the_poses_are_turned_does_not_matter(seed, form):
@@ -264,6 +280,31 @@ def test_poses_that_leave_parameters_open_are_refused_by_name():
     assert error.condition > 200.0
     small = np.array([d for d in directions(400, rng) if d[2] > 0.85])
     refused(G * small + 1e-3 * rng.standard_normal(small.shape))
+
+
+def within(degrees, count, rng):
+    """Directions no farther than this from the plane of x and y."""
+    u = directions(20 * count, rng)
+    return u[np.abs(u[:, 2]) < np.sin(np.radians(degrees))][:count]
+
+
+def test_a_band_about_a_plane_is_refused_with_the_direction_that_is_missing():
+    # Far beyond the noise: the sphere's third axis is what the readings never come near.
+    rng = np.random.default_rng(70)
+    narrow = within(15.0, 300, rng)
+    assert "(0.00, 0.00, 1.00)" in refused(G * narrow + 1e-3 * rng.standard_normal(narrow.shape)).reason
+    wide = within(30.0, 300, rng)
+    found = calibrate_positions(G * wide + 1e-3 * rng.standard_normal(wide.shape), G)
+    np.testing.assert_allclose(found.gain, np.eye(3), atol=1e-3)
+
+
+def test_a_magnetometer_that_only_circled_on_the_level_is_refused():
+    # Iron of the street bends the circle by more than the noise; a fit of it says 0.24 of the vertical scale.
+    path = folder("northeastern-vn100-circles") / "circle_data_0_imu.csv"
+    with path.open(newline="", encoding="utf-8") as file:
+        rows = [row[8:11] for row in csv.reader(file) if len(row) > 10][1:]
+    with pytest.raises(PosesError, match="coplanar"):
+        calibrate_field(1e6 * np.array(rows, dtype=np.float64), 51.22)
 
 
 def test_readings_on_no_ellipsoid_are_refused():
