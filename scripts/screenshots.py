@@ -12,6 +12,8 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Generator
+from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -26,7 +28,6 @@ PAGES = {
     "events": "/events",
     "alerts": "/alerts",
     "install": "/install",
-    "workbench": "/workbench",
     "admin": "/admin",
     "boxes": "/admin/boxes",
     "rules": "/admin/alerts",
@@ -37,19 +38,25 @@ ON_PHONE = {"fleet": "/", "install": "/install", "events": "/events", "alerts": 
 FLAGS = ("--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
 
 
-def main() -> None:
-    out = Path(sys.argv[1])
-    out.mkdir(parents=True, exist_ok=True)
+@contextmanager
+def demo_fleet() -> Generator[str]:
+    """The demo on fresh data; gives the address that signs in."""
     with TemporaryDirectory() as data:
         environment = os.environ | {"SCATOLA_DATA_DIR": data, "SCATOLA_PORT": "0"}
         command = [sys.executable, "-m", "server.cli.main", "demo"]
         with subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) as demo:  # noqa: S603  ours
             assert demo.stdout is not None
-            link = next(match[0] for line in demo.stdout if (match := re.search(r"http\S+/login\?code=\S+", line)))
             try:
-                take(link, out)
+                yield next(match[0] for line in demo.stdout if (match := re.search(r"http\S+/login\?code=\S+", line)))
             finally:
                 demo.send_signal(signal.SIGINT)
+
+
+def main() -> None:
+    out = Path(sys.argv[1])
+    out.mkdir(parents=True, exist_ok=True)
+    with demo_fleet() as link:
+        take(link, out)
 
 
 def take(link: str, out: Path) -> None:
@@ -74,7 +81,10 @@ def take(link: str, out: Path) -> None:
         page.wait_for_timeout(8_000)
         photograph(page, out / "vehicle.png", settle_s=40, full_page=True)
         address, state = page.url, context.storage_state()
-        guide(page, out, {**PAGES, "event": event or "/events", "mounting": f"{page.url}/mounting"})
+        guide(page, out, {**PAGES, "mounting": f"{page.url}/mounting"})
+        replay(page, ORIGIN[0] + (event or "/events"), out / "guide-event.png")
+        page.goto(address)
+        analysis(page, out / "guide-workbench.png")
         page.close()
         phone = browser.new_context(viewport={"width": 390, "height": 844}, color_scheme="dark", storage_state=state)
         page = phone.new_page()
@@ -98,8 +108,28 @@ def guide(page: Page, out: Path, paths: dict[str, str], *, suffix: str = "") -> 
         photograph(page, out / f"guide-{name}{suffix}.png", settle_s=25 if page.locator("scene-3d").count() else 4)
 
 
+def replay(page: Page, address: str, path: Path) -> None:
+    """The event's page, the replay held just after the blow."""
+    page.goto(address)
+    frame = page.frame_locator("scene-3d iframe")
+    time_box = frame.get_by_role("textbox").first
+    time_box.wait_for()
+    frame.locator("body").press("Space")
+    time_box.fill("6.5")
+    photograph(page, path, settle_s=15, full_page=True)
+
+
+def analysis(page: Page, path: Path) -> None:
+    """What the four estimators make of the trip that a vehicle's page shows."""
+    page.get_by_role("link", name="Analyse the trip").click()
+    page.get_by_role("button", name="Analyse").click()
+    page.locator("figure.graph").first.wait_for()
+    photograph(page, path, settle_s=2, full_page=True)
+
+
 def photograph(page: Page, path: Path, *, settle_s: float, full_page: bool = False) -> None:
     """Close viser's remark on software rendering, let the 3D view and the maps finish, and take the picture."""
+    page.evaluate("window.scrollTo(0, 0)")  # what is out of view does not draw
     deadline = time.monotonic() + settle_s
     while time.monotonic() < deadline:
         page.wait_for_timeout(500)
@@ -107,7 +137,6 @@ def photograph(page: Page, path: Path, *, settle_s: float, full_page: bool = Fal
             notice = frame.locator(".mantine-Notification-closeButton")
             if notice.count() and notice.first.is_visible():
                 notice.first.dispatch_event("click")  # under software rendering a real one waits too long
-    page.evaluate("window.scrollTo(0, 0)")
     page.screenshot(path=path, full_page=full_page)
 
 

@@ -32,6 +32,12 @@ const PACKAGES = [
     derive: () => ({ LICENSE: BSD_3("2021 Protomaps LLC"), "pmtiles.mjs": pmtilesModule() }),
   },
   {
+    // Reads QR codes where a browser cannot by itself.  MIT or Apache-2.0, as one likes.
+    name: "qr",
+    licence: "MIT",
+    copy: { "decode.js": "decode.js", "index.js": "index.js", "LICENSE-MIT": "LICENSE-MIT" },
+  },
+  {
     name: "uplot",
     licence: "MIT",
     copy: {

@@ -37,7 +37,7 @@ from server.live import routes as live
 from server.migrations import serves
 from server.operations import routes as operations
 from server.pages import accounts as account_pages
-from server.pages import admin, admin_alerts, admin_boxes, admin_work, fleet_routes, templating
+from server.pages import admin, admin_alerts, admin_boxes, admin_work, event_list, fleet_routes, how, templating
 from server.pages import alerts as alert_pages
 from server.pages import install_routes as install_pages
 from server.pages import mounting_routes as mounting_pages
@@ -155,6 +155,7 @@ def create_app(settings: Settings, *, clock: Clock = utc_now) -> FastAPI:
         bulk,
         proxy,
         pages,
+        event_list,
         mounting_pages,
         install_pages,
         fleet_routes,
@@ -163,6 +164,7 @@ def create_app(settings: Settings, *, clock: Clock = utc_now) -> FastAPI:
         alert_pages,
         workbench_pages,
         trip_pages,
+        how,
         admin,
         admin_boxes,
         admin_alerts,

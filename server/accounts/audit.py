@@ -14,6 +14,8 @@ from server.models import AuditEntry
 
 REPEAT = dt.timedelta(minutes=1)
 _MANY = 10_000
+LOOKS = ("location.read", "raw.read")
+"""Actions that change nothing: somebody saw something."""
 
 
 def record(
@@ -64,12 +66,20 @@ class RecentLooks:
 
 
 def entries(
-    session: Session, organisation_id: str, *, before: int | None, action: str | None, limit: int
+    session: Session,
+    organisation_id: str,
+    *,
+    before: int | None,
+    action: str | None,
+    looks: bool | None = None,
+    limit: int,
 ) -> list[AuditEntry]:
-    """The newest entries first."""
+    """The newest entries first; with `looks` only what was seen, without it only what was done."""
     wanted = select(AuditEntry).where(AuditEntry.organisation_id == organisation_id)
     if before is not None:
         wanted = wanted.where(AuditEntry.id < before)
     if action is not None:
         wanted = wanted.where(AuditEntry.action == action)
+    if looks is not None:
+        wanted = wanted.where(AuditEntry.action.in_(LOOKS) if looks else AuditEntry.action.not_in(LOOKS))
     return list(session.scalars(wanted.order_by(AuditEntry.id.desc()).limit(limit)))

@@ -22,6 +22,7 @@ from server.edge import DatabaseOf, Now
 from server.errors import ForbiddenError, ProblemError
 from server.models import User
 from server.pages import queries
+from server.pages.audit_words import DEEDS
 from server.pages.forms import Text, back, checked
 from server.pages.routes import answer
 from server.wording import marked
@@ -29,6 +30,7 @@ from server.wording import marked
 router = APIRouter(include_in_schema=False, default_response_class=HTMLResponse)
 
 ENTRIES = 100
+LOGS = {"all": marked("All"), "done": marked("What was done"), "looks": marked("What was looked at")}
 ROLE_WORDS = {
     "admin": marked("Administrator"),
     "manager": marked("Fleet manager"),
@@ -295,10 +297,15 @@ def audit_page(
     caller: AuditReader,
     database: DatabaseOf,
     before: Annotated[int | None, Query(ge=0, le=2**63 - 1)] = None,
+    show: Literal["all", "done", "looks"] = "all",
 ) -> HTMLResponse:
     """Who did and saw what."""
+    looks = None if show == "all" else show == "looks"
     with database.reading() as session:
-        rows = audit.entries(session, caller.organisation_id, before=before, action=None, limit=ENTRIES + 1)
+        rows = audit.entries(
+            session, caller.organisation_id, before=before, action=None, looks=looks, limit=ENTRIES + 1
+        )
     shown = rows[:ENTRIES]
     context = {"entries": shown, "next": shown[-1].id if len(rows) > ENTRIES else None}
+    context |= {"deeds": DEEDS, "show": show, "shows": LOGS}
     return _page(request, "audit.html", caller, database, context)

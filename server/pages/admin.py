@@ -22,6 +22,7 @@ from server.jobs.rerun import ALGORITHM
 from server.migrations import head
 from server.models import AlertDelivery, Device, Event, EventRevision
 from server.pages import queries
+from server.pages.audit_words import DEEDS
 from server.pages.routes import answer
 from server.pages.words import SILENT_AFTER, State
 from server.settings import Settings
@@ -170,9 +171,12 @@ def overview(
         context = {
             "matters": matters(session, caller, settings, now),
             "storage": storage(session, caller, settings, now),
-            "latest": audit.entries(session, caller.organisation_id, before=None, action=None, limit=LATEST)
+            "latest": audit.entries(
+                session, caller.organisation_id, before=None, action=None, looks=False, limit=LATEST
+            )
             if caller.may("audit.read")
             else [],
+            "deeds": DEEDS,
         }
     checks = readiness.checks(request.app.state.database, store, now)
     ending = checks.pop("draining")

@@ -23,6 +23,7 @@ from server.models import ClaimCode, Device, Vehicle
 from server.pages import queries
 from server.pages.admin import over_quota
 from server.pages.forms import Text, back, checked
+from server.pages.qr import qr_code
 from server.pages.routes import answer
 from server.pages.words import SILENT_AFTER
 from server.settings import Settings
@@ -163,14 +164,17 @@ def add(
 
 def _token_shown(token: str | None) -> dict[str, Any]:
     hint = marked("The box sends it as a bearer token. It cannot be shown again; a lost one is rotated.")
-    return {"title": marked("Token of the box"), "value": token, "hint": hint, "until": None}
+    return {"title": marked("Token of the box"), "value": token, "hint": hint, "until": None, "code": None}
 
 
 def _new_code(session: Session, request: Request, caller: Caller, device_id: str, now: dt.datetime) -> dict[str, Any]:
     made = provisioning.new_claim_code(session, caller.organisation_id, device_id, now=now)
     note(session, request, caller, "box.claim-code", f"device={device_id}", now=now)
     hint = marked("The box trades it for its token, once. Earlier codes of this box are void.")
-    return {"title": marked("Claim code of the box"), "value": made.code, "hint": hint, "until": made.expires_at}
+    # The address of the assistant: any phone's camera opens it, and the assistant's own reads it too.
+    code = qr_code(f"{request.base_url}install?code={made.code}")
+    title = marked("Claim code of the box")
+    return {"title": title, "value": made.code, "hint": hint, "until": made.expires_at, "code": code}
 
 
 @router.get("/{device_id}")

@@ -10,13 +10,14 @@ import datetime as dt
 from collections import Counter, defaultdict
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal, get_args
-from urllib.parse import urlencode
+from functools import cached_property
+from typing import Any, ClassVar, Literal, get_args
 
 from sqlalchemy import and_, case, func, or_, select
 from sqlalchemy.orm import Session
 
 from server.models import Device, DeviceState, Installation, Trip, Vehicle
+from server.pages import lists
 from server.pages.alert_lines import AlertLine, lines
 from server.pages.events import Line, unreviewed
 from server.pages.words import LIVE_WITHIN, MOVED_IS_NEWS_FOR, SILENT_AFTER, Standing, State, largest_sigma, standing
@@ -24,7 +25,6 @@ from server.wording import marked
 
 Show = Literal["all", "reporting", "loose", "moved", "silent", "waiting", "ready", "empty"]
 Sort = Literal["name", "state", "speed", "distance", "driving", "seen"]
-PAGE = 50
 PERIODS = {7: marked("7 days"), 30: marked("30 days"), 0: marked("all time")}
 SHOWN: dict[Show, str] = {
     "all": marked("All"),
@@ -40,27 +40,14 @@ _BADNESS: dict[State, int] = {"alarm": 0, "attention": 1, "unknown": 2, "good": 
 
 
 @dataclass(frozen=True)
-class Wanted:
+class Wanted(lists.Wanted):
     """What a reader asked of the list; its address says the same."""
 
-    q: str = ""
-    show: Show = "all"
     sort: Sort = "name"
-    down: bool = False
+    show: Show = "all"
     days: int = 30
-    page: int = 1
 
-    def query(self, **changes: Any) -> str:
-        """Query of the address with some fields changed, without what is usual; another page only when asked for."""
-        fields = {"q": self.q, "show": self.show, "sort": self.sort, "down": self.down, "days": self.days} | changes
-        usual = Wanted()
-        told = {name: value for name, value in fields.items() if value != getattr(usual, name)}
-        return urlencode({name: int(value) if isinstance(value, bool) else value for name, value in told.items()})
-
-    def toggled(self, sort: Sort) -> str:
-        """Query after a press on a column's head: figures begin with the largest, names with the first."""
-        down = not self.down if sort == self.sort else sort in ("speed", "distance", "driving", "seen")
-        return self.query(sort=sort, down=down)
+    FALLING: ClassVar[frozenset[str]] = frozenset({"speed", "distance", "driving", "seen"})
 
 
 @dataclass(frozen=True)
@@ -137,16 +124,12 @@ class Fleet:
     def reporting(self) -> int:
         return sum(row.reporting for row in self.everything)
 
-    @property
-    def pages(self) -> int:
-        return max(1, -(-self.found // PAGE))
-
-    @property
+    @cached_property
     def counts(self) -> Mapping[Show, int]:
         found = Counter(show for row in self.everything for show in row.shows)
         return {show: found[show] for show in get_args(Show)}
 
-    @property
+    @cached_property
     def tiles(self) -> Sequence[Tile]:
         """What needs attention now."""
 
@@ -167,8 +150,8 @@ def fleet(session: Session, organisation_id: str, wanted: Wanted, *, now: dt.dat
     """The rows of one page of the list, and the figures around it."""
     everything = _rows(session, organisation_id, now=now)
     rows = listed(session, organisation_id, everything, wanted, now=now)
-    first = (min(wanted.page, max(1, -(-len(rows) // PAGE))) - 1) * PAGE
-    shown = rows[first : first + PAGE]
+    first = lists.rows_before(wanted.page, len(rows))
+    shown = rows[first : first + lists.PAGE]
     if wanted.sort not in ("distance", "driving"):
         shown = _with_driving(session, organisation_id, shown, wanted.days, now=now)
     shown = _with_sigma(session, shown)
@@ -316,7 +299,7 @@ def _row(found: Any, *, now: dt.datetime) -> Row:  # a row of the statement abov
 def _with_sigma(session: Session, rows: Sequence[Row]) -> list[Row]:
     """The same rows with the uncertainty of their mountings."""
     statement = select(Installation.device_id, Installation.result).where(Installation.ended_at.is_(None))
-    if len(rows) <= PAGE:
+    if len(rows) <= lists.PAGE:
         statement = statement.where(Installation.device_id.in_([row.device_id for row in rows if row.device_id]))
     results = session.execute(statement.order_by(Installation.began_at))
     sigmas = {device_id: largest_sigma(result) for device_id, result in results}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
-from typing import Annotated
+from typing import Annotated, Literal
 
 import orjson
 from fastapi import APIRouter, Depends, Form, Query, Request
@@ -33,10 +33,13 @@ def _wanted(
     days: Annotated[int, Query(ge=0, le=3650)] = 30,
     page: Annotated[int, Query(ge=1, le=100_000)] = 1,
 ) -> Wanted:
-    return Wanted(q.strip(), show, sort, down, days if days in PERIODS else 30, page)
+    return Wanted(q=q.strip(), show=show, sort=sort, down=down, days=days if days in PERIODS else 30, page=page)
 
 
 WantedOf = Annotated[Wanted, Depends(_wanted)]
+ListPage = Literal["fleet", "vehicles", "events", "trips"]
+LISTS: dict[ListPage, str] = {"fleet": "/", "vehicles": "/vehicles", "events": "/events", "trips": "/trips"}
+"""Where each list is that views are kept of."""
 
 
 @router.get("/")
@@ -144,7 +147,7 @@ def fleet_places(request: Request, caller: PlaceReader, database: DatabaseOf, no
 def keep_view(
     caller: Reader,
     database: DatabaseOf,
-    page: Annotated[str, Form(pattern="^(fleet|vehicles)$")],
+    page: Annotated[ListPage, Form()],
     name: Annotated[str, Form(min_length=1, max_length=60)],
     query: Annotated[str, Form(max_length=500)] = "",
     forget: Annotated[bool, Form()] = False,
@@ -154,6 +157,4 @@ def keep_view(
     changed = kept.without_view(page, name) if forget else kept.with_view(View(page, name.strip(), query.lstrip("?")))
     with database.transaction() as session:
         keep_preferences(session, caller, changed)
-    return RedirectResponse(
-        ("/" if page == "fleet" else "/vehicles") + ("" if forget else f"?{query.lstrip('?')}"), 303
-    )
+    return RedirectResponse(LISTS[page] + ("" if forget else f"?{query.lstrip('?')}"), 303)

@@ -118,21 +118,6 @@ def set_mounting(
     return RedirectResponse(f"{back}#mounting", 303)
 
 
-@router.get("/events")
-def event_list(
-    request: Request,
-    caller: Reader,
-    database: DatabaseOf,
-    show: Literal["severe", "manoeuvres", "all"] = "severe",
-) -> HTMLResponse:
-    """What happened, the newest first."""
-    severe = {"severe": True, "manoeuvres": False, "all": None}[show]
-    with database.reading() as session:
-        change = queries.last_change(session, caller.organisation_id)
-        found = event_queries.lines(session, caller.organisation_id, severe=severe)
-    return answer(request, "events.html", caller, "events", change, {"lines": found, "show": show})
-
-
 @router.get("/events/{event_id}")
 def event(request: Request, event_id: str, caller: Reader, settings: SettingsOf, database: DatabaseOf) -> HTMLResponse:
     """One event: replay, curves, map, numbers, downloads, review."""

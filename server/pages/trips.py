@@ -2,26 +2,57 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated
-from urllib.parse import urlencode
+from typing import Annotated, Any, ClassVar, Literal
 
-from fastapi import APIRouter, Query, Request
-from sqlalchemy import or_, select, tuple_
+from fastapi import APIRouter, Depends, Query, Request
+from sqlalchemy import ColumnElement, SQLColumnExpression, func, select
+from sqlalchemy.orm import Session
 from starlette.responses import HTMLResponse
 
 from server.accounts.access import Reader
-from server.edge import DatabaseOf, place_of
+from server.edge import DatabaseOf
 from server.errors import ProblemError
 from server.models import Device, Trip, Vehicle
-from server.pages import queries
+from server.pages import frame, lists, queries
 from server.pages.forms import day
 from server.pages.routes import answer
 
 router = APIRouter(include_in_schema=False, default_response_class=HTMLResponse)
 
-SHOWN = 100
-Day = Annotated[str, Query(max_length=20)]
+Sort = Literal["began", "vehicle", "distance", "moving", "top"]
+_SORTED: dict[Sort, SQLColumnExpression[Any]] = {
+    "began": Trip.began_at,
+    "vehicle": func.lower(func.coalesce(Vehicle.name, Device.name)),
+    "distance": Trip.distance_m,
+    "moving": Trip.moving_s,
+    "top": Trip.max_speed_mps,
+}
+
+
+@dataclass(frozen=True)
+class Wanted(lists.Wanted):
+    """What a reader asked of the list."""
+
+    sort: Sort = "began"
+    down: bool = True
+    since: str = ""
+    until: str = ""
+    shortest: float = 0.0
+    """In the reader's unit of distance."""
+
+    FALLING: ClassVar[frozenset[str]] = frozenset({"began", "distance", "moving", "top"})
+
+    def conditions(self, per_m: float) -> list[ColumnElement[bool]]:
+        """Of the filters, `per_m` from metres to the reader's unit; raises `InvalidError` when a day is none."""
+        found = [*lists.named(self.q), Trip.distance_m >= self.shortest / per_m]
+        first, last = day(self.since), day(self.until, following=1)
+        if first is not None:
+            found.append(Trip.began_at >= first)
+        if last is not None:
+            found.append(Trip.began_at < last)
+        return found
 
 
 @dataclass(frozen=True)
@@ -44,49 +75,51 @@ class Line:
         return f"{subject}?trip={self.trip.id}"
 
 
-@router.get("/trips")
-def trips(
-    request: Request,
-    caller: Reader,
-    database: DatabaseOf,
+def _wanted(
     q: Annotated[str, Query(max_length=100)] = "",
-    since: Day = "",
-    until: Day = "",
-    shortest_km: Annotated[float, Query(ge=0.0, le=1e5)] = 0.0,
-    before: Annotated[str, Query(max_length=100)] = "",
-) -> HTMLResponse:
-    """Trips, the newest first, by vehicle, days and distance; days are UTC's, the last one included."""
-    problem: ProblemError | None = None
+    since: Annotated[str, Query(max_length=20)] = "",
+    until: Annotated[str, Query(max_length=20)] = "",
+    shortest: Annotated[float, Query(ge=0.0, le=1e5)] = 0.0,
+    sort: Sort = "began",
+    down: bool = True,
+    page: Annotated[int, Query(ge=1, le=100_000)] = 1,
+) -> Wanted:
+    return Wanted(
+        q=q.strip(), sort=sort, down=down, page=page, since=since.strip(), until=until.strip(), shortest=shortest
+    )
+
+
+def listed(session: Session, organisation_id: str, wanted: Wanted, per_m: float) -> tuple[Sequence[Line], int]:
+    """Trips of one page of the list, and how many the filters leave."""
     query = (
         select(Trip, Device, Vehicle)
         .join(Device, Device.id == Trip.device_id)
         .outerjoin(Vehicle, Vehicle.id == Trip.vehicle_id)
-        .where(Trip.organisation_id == caller.organisation_id, Trip.distance_m >= 1000.0 * shortest_km)
+        .where(Trip.organisation_id == organisation_id, *wanted.conditions(per_m))
     )
-    for word in q.split():
-        named = (Device.name, Vehicle.name, Vehicle.plate)
-        query = query.where(or_(*(column.icontains(word, autoescape=True) for column in named)))
-    try:
-        first, last = day(since), day(until, following=1)
-        if first is not None:
-            query = query.where(Trip.began_at >= first)
-        if last is not None:
-            query = query.where(Trip.began_at < last)
-        if before:
-            query = query.where(tuple_(Trip.began_at, Trip.id) < place_of(before))
-    except ProblemError as error:
-        problem = error
+    found = session.scalar(query.with_only_columns(func.count())) or 0
+    column = _SORTED[wanted.sort]
+    rows = query.order_by(column.desc() if wanted.down else column.asc(), Trip.began_at.desc(), Trip.id)
+    rows = rows.offset(lists.rows_before(wanted.page, found)).limit(lists.PAGE)
+    return [Line(trip, device, vehicle) for trip, device, vehicle in session.execute(rows)], found
+
+
+@router.get("/trips")
+def trips(
+    request: Request, caller: Reader, database: DatabaseOf, wanted: Annotated[Wanted, Depends(_wanted)]
+) -> HTMLResponse:
+    """Trips by vehicle, days and distance; days are UTC's, the last one included."""
+    problem: ProblemError | None = None
+    lines: Sequence[Line] = []
+    found = 0
     with database.reading() as session:
         change = queries.last_change(session, caller.organisation_id)
-        rows = session.execute(query.order_by(Trip.began_at.desc(), Trip.id.desc()).limit(SHOWN + 1)).all()
-    lines = [Line(trip, device, vehicle) for trip, device, vehicle in rows]
-    shown = lines[:SHOWN]
-    wanted = {"q": q.strip(), "since": since, "until": until, "shortest_km": f"{shortest_km:g}"}
-    following = None
-    if len(lines) > SHOWN:
-        trip = shown[-1].trip
-        following = urlencode({**wanted, "before": f"{trip.began_at.isoformat()}~{trip.id}"})
-    context = {"lines": shown, "wanted": wanted, "next": following, "error": problem and problem.detail}
+        try:
+            lines, found = listed(session, caller.organisation_id, wanted, frame.measures_of(request).per_m)
+        except ProblemError as error:
+            problem = error
+    views = caller.preferences.views_of("trips")
+    context = {"lines": lines, "found": found, "wanted": wanted, "views": views, "error": problem and problem.detail}
     page = answer(request, "trips.html", caller, "trips", change, context)
     page.status_code = 200 if problem is None else problem.status
     return page

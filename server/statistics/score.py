@@ -11,13 +11,11 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from server.wording import marked
-
 HALVING = 5.0
 """Events per 100 km at which the score is 50."""
 MIN_KM = 100.0
 """Below, a single event more or less would move the score by 13 points and more."""
-FORMULA = marked("score = 100 * 2^(-rate/5), rate = harsh braking, acceleration and cornering events per 100 km")
+FORMULA = "score = 100 * 2^(-rate/5), rate = harsh braking, acceleration and cornering events per 100 km"
 
 
 @dataclass(frozen=True)

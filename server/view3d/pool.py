@@ -18,6 +18,7 @@ import viser
 from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
+from nav_core.typing import Floats
 from server.database import Database
 from server.edge import Clock
 from server.errors import NotFoundError, UnavailableError
@@ -27,7 +28,7 @@ from server.store import BlobStore
 from server.view3d.live import Live, LiveParts
 from server.view3d.scene import MountingScene
 from server.view3d.uncertainty import axis_ellipse
-from server.view3d.view import Choice, MountingView, load, load_step, proposal_view
+from server.view3d.view import Choice, Matrix, MountingView, Triad, load, load_step, proposal_view
 
 # Rows of these kinds come with every upload and never change what the scene shows.
 _QUIET_KINDS = ("batch", "position", "trip")
@@ -60,8 +61,9 @@ class _News:
     """What was read for a stage, outside its scene."""
 
     view: MountingView
-    felt: Feel | None
-    course: float | None
+    f_v: Triad | None = None
+    """Specific force, V-frame, m/s²."""
+    course: float | None = None
 
 
 class ScenePool:
@@ -163,7 +165,7 @@ class ScenePool:
                 news = self._read(session, subject.device_id, Choice())
             else:
                 view = load(session, subject.device_id, now=self._clock())
-                news = None if view is None else _News(view, None, None)
+                news = None if view is None else _News(view)
         if news is None:
             raise NotFoundError(f"no device {subject.device_id}")
         server = viser.ViserServer(host="127.0.0.1", port=0, label=None, verbose=False)
@@ -177,13 +179,17 @@ class ScenePool:
         view = load_step(session, device_id, choice, now=self._clock())
         if view is None:
             return None
+        if choice.at is not None:
+            # Where north was then nobody told: it is not drawn.
+            return _News(view, choice.f if choice.f_in_vehicle else _turned(view.R_va, choice.f))
         state = session.get(DeviceState, device_id)
         felt = self._feel(sources(session, device_id))
         if choice.proposal is not None and felt is not None:
             level = level_of(felt)
             if level is not None and level.choices:
                 view = proposal_view(view, level.choices[choice.proposal].tolist())
-        return _News(view, felt, None if state is None else state.course_rad)
+        f_a = None if felt is None else felt.f_a
+        return _News(view, _turned(view.R_va, f_a), None if state is None else state.course_rad)
 
     def _feel(self, found: list[Source]) -> Feel | None:
         return None if self._store is None else feel(self._store, found)
@@ -193,11 +199,7 @@ class ScenePool:
             return
         stage.scene.show(news.view)
         if stage.live is not None:
-            R_va, f_v = news.view.R_va, None
-            if R_va is not None and news.felt is not None:
-                x, y, z = (np.array(R_va) @ news.felt.f_a).round(2).tolist()
-                f_v = (x, y, z)
-            stage.live.show(Live(f_v, news.course), news.view.vehicle_class)
+            stage.live.show(Live(news.f_v, news.course), news.view.vehicle_class)
 
     def _make_room(self) -> None:
         if len(self._stages) < self._capacity:
@@ -249,8 +251,16 @@ class ScenePool:
                 found.append((subject, self._read(session, subject.device_id, stage.choice)))
             elif stage.live is None and subject.device_id in estimated:
                 view = load(session, subject.device_id, now=self._clock())
-                found.append((subject, None if view is None else _News(view, None, None)))
+                found.append((subject, None if view is None else _News(view)))
         return found
+
+
+def _turned(R_va: Matrix | None, f_a: Floats | Triad | None) -> Triad | None:
+    """Into the vehicle's axes, to a hundredth: what differs by less is drawn the same."""
+    if R_va is None or f_a is None:
+        return None
+    x, y, z = (np.array(R_va) @ f_a).round(2).tolist()
+    return x, y, z
 
 
 def _told(stage: _Stage) -> dict[str, Any]:

@@ -11,10 +11,11 @@ from typing import Any
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
-from server.installations.steps import steps
+from server.installations.steps import Step, steps
 from server.models import Device, Installation, MountingRevision, Vehicle
 from server.pages.words import State, standing
 
+LATER = dt.datetime.max.replace(tzinfo=dt.UTC)
 Triad = tuple[float, float, float]
 Matrix = tuple[Triad, Triad, Triad]
 
@@ -49,6 +50,12 @@ class Choice:
     """Whether the box as it sat before the move is drawn beside it."""
     proposal: int | None = None
     """One of the four orientations of a box that is levelled by hand, instead of the estimate."""
+    at: dt.datetime | None = None
+    """The instant under the cursor of the page's charts, instead of now."""
+    f: Triad | None = None
+    """Specific force that the charts show at that instant, m/s²."""
+    f_in_vehicle: bool = False
+    """Whether that is in the V-frame, else in the A-frame."""
 
 
 def load_step(session: Session, device_id: str, choice: Choice, *, now: dt.datetime) -> MountingView | None:
@@ -57,7 +64,7 @@ def load_step(session: Session, device_id: str, choice: Choice, *, now: dt.datet
     if device is None:
         return None
     found = steps(session, device_id)
-    step = next((step for step in found if step.id == choice.step), found[-1] if found else None)
+    step = _chosen(found, choice)
     if step is None:
         return load(session, device_id, now=now)
     vehicle_id = step.installation.vehicle_id
@@ -73,6 +80,15 @@ def load_step(session: Session, device_id: str, choice: Choice, *, now: dt.datet
     )
     before = step.before.get("R_va") if choice.before and step.before is not None else None
     return view if before is None else replace(view, before=_matrix(before))
+
+
+def _chosen(found: Sequence[Step], choice: Choice) -> Step | None:
+    """The step of that id; of an instant, what is known now of how the box sat then; else the newest."""
+    at = choice.at
+    if at is not None:
+        found = [s for s in found if s.installation.began_at <= at < (s.installation.ended_at or LATER)] or found
+    newest = found[-1] if found else None
+    return next((step for step in found if step.id == choice.step), newest)
 
 
 def proposal_view(view: MountingView, R_va: Sequence[Sequence[float]]) -> MountingView:

@@ -14,6 +14,7 @@ import threading
 from collections.abc import AsyncGenerator
 from importlib.metadata import distribution
 from pathlib import Path
+from typing import Annotated, Literal
 
 import rich
 import uvicorn
@@ -39,14 +40,30 @@ from server.view3d.view import Choice
 _EXPIRED = "This 3D view's ticket has expired. Reload the page that shows it."
 
 
+Force = Annotated[float, Field(ge=-1e4, le=1e4)] | None
+
+
 class Wanted(BaseModel):
     """What the page around a scene asks it to show."""
 
-    model_config = ConfigDict(extra="forbid")
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
     step: str | None = Field(default=None, max_length=32)
     before: bool = False
     proposal: int | None = Field(default=None, ge=0, le=3)
+    at: float | None = Field(default=None, ge=0.0, le=2.5e11)
+    """Unix s."""
+    f: tuple[Force, Force, Force] | None = None
+    """What the page shows at that instant, m/s²; the viewer reads no recording for it."""
+    frame: Literal["a", "v"] = "a"
+    """Axes of `f`."""
+
+    def choice(self) -> Choice:
+        """The same for the pool."""
+        at = None if self.at is None else dt.datetime.fromtimestamp(self.at, dt.UTC)
+        x, y, z = self.f or (None, None, None)
+        f = None if x is None or y is None or z is None else (x, y, z)
+        return Choice(self.step, self.before, self.proposal, at, f, self.frame == "v")
 
 
 class Viewer:
@@ -124,11 +141,10 @@ class Viewer:
         try:
             if request.method == "PUT":
                 wanted = Wanted.model_validate_json(await request.body())
-                choice = Choice(wanted.step, wanted.before, wanted.proposal)
-                await run_in_threadpool(self.pool.choose, device_id, secret, choice)
+                await run_in_threadpool(self.pool.choose, device_id, secret, wanted.choice())
             told = await run_in_threadpool(self.pool.state, device_id, secret)
         except ValidationError:
-            return PlainTextResponse("Not a choice of step, before, proposal", 422, self._headers)
+            return PlainTextResponse("Not a choice of step, before, proposal, at", 422, self._headers)
         except ProblemError as problem:
             return PlainTextResponse(problem.detail, problem.status, self._headers)
         return JSONResponse(told, headers=self._headers)

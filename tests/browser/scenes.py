@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 import numpy as np
 from PIL import Image
-from playwright.sync_api import FrameLocator, Locator, expect
+from playwright.sync_api import Locator
 
 # Software rendering on a busy machine: viser's page needs seconds to come up.
 PATIENCE_MS = 90_000
@@ -26,13 +26,6 @@ def coloured(picture: bytes) -> dict[str, int]:
         "blue": int(((b > r + 60) & (b > g + 25)).sum()),
         "orange": int(((r > g + 40) & (g > b + 35)).sum()),
     }
-
-
-def dismiss_notice(frame: FrameLocator) -> None:
-    """Close viser's notice about software rendering: it covers the scene, and its stripe is orange."""
-    notice = frame.locator(".mantine-Notification-closeButton").first
-    notice.click(timeout=PATIENCE_MS)
-    expect(notice).to_be_hidden(timeout=PATIENCE_MS)
 
 
 def wait_coloured(scene: Locator, enough: Callable[[dict[str, int]], bool]) -> dict[str, int]:

@@ -14,7 +14,7 @@ from server.accounts.service import open_session
 from server.models import Device, EventRevision, JobFailure, Rerun, RerunItem, User, new_id
 from tests.browser.conftest import ARTIFACTS
 from tests.browser.test_events import event
-from tests.browser.test_every_page import RUN_AXE, axe_source
+from tests.browser.test_every_page import keep
 from tests.browser.test_pages import CONTRAST
 
 __all__ = ["event"]
@@ -59,21 +59,6 @@ def troubled(site, event) -> str:
             )
         )
         return run.id
-
-
-def keep(page, screenshot, name):
-    """Pictures at desk and phone width, both schemes; nothing overflows, nothing is hard to read, axe is content."""
-    page.evaluate(axe_source())
-    page.evaluate("scrollTo(0, 0)")
-    for width, which in ((1280, "desk"), (390, "phone")):
-        page.set_viewport_size({"width": width, "height": 844})
-        page.wait_for_function("document.documentElement.scrollWidth <= window.innerWidth")
-        for scheme in ("dark", "light"):
-            page.emulate_media(color_scheme=scheme)
-            assert page.evaluate(CONTRAST) == []
-            screenshot(page, f"{name}-{which}-{scheme}")
-        assert page.evaluate(RUN_AXE) == []
-    page.set_viewport_size({"width": 1280, "height": 800})
 
 
 @pytest.mark.usefixtures("troubled")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime as dt
+import re
 import sys
 from pathlib import Path
 from time import monotonic
@@ -14,6 +15,7 @@ from sqlalchemy import select
 from server.live.changes import announce
 from server.models import Batch, Boot, Device, Event, Installation
 from tests.browser.scenes import CHATTER, PATIENCE_MS, wait_coloured
+from tests.browser.test_every_page import keep
 from tests.browser.test_pages import css, wait_drawn
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "server"))
@@ -77,11 +79,11 @@ def walk(page):
     charts.scroll_into_view_if_needed()
     expect(charts).to_have_attribute("data-drawn", "3")
     for plot, colour in (("dv", "axis-x"), ("dv", "axis-y"), ("pulse", "axis-x"), ("speed", "track")):
-        wait_drawn(page, page.locator(f'[data-plot="{plot}"] canvas'), css(page, colour), 100)
+        wait_drawn(page.locator(f'[data-plot="{plot}"] canvas'), css(page, colour), 100)
     way = page.locator("event-map")
     way.scroll_into_view_if_needed()
     expect(way).to_have_attribute("data-points", "121")
-    wait_drawn(page, way, css(page, "alarm-fill"), 60)
+    wait_drawn(way, css(page, "alarm-fill"), 60)
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
@@ -89,6 +91,32 @@ def test_the_event_page_shows_everything(event, open_page, screenshot, scheme):
     page = open_page(f"/events/{event}", color_scheme=scheme)
     walk(page)
     screenshot(page, f"event-{scheme}")
+
+
+def test_the_event_page_is_readable_by_everybody(event, open_page, screenshot):
+    page = open_page(f"/events/{event}", locale="it-IT")
+    expect(page.get_by_role("heading", name="Da dove è venuta la forza")).to_be_visible()
+    keep(page, screenshot, "event-it")
+
+
+def test_one_cursor_through_charts_and_map(event, open_page):
+    page = open_page(f"/events/{event}")
+    walk(page)
+    way, now = page.locator("event-map"), page.locator("event-charts [data-now]")
+    over = page.locator('[data-plot="speed"] .u-over')
+    over.scroll_into_view_if_needed()
+    box = over.bounding_box()
+    over.hover(position={"x": 0.25 * box["width"], "y": 40})
+    expect(page.locator('[data-now="speed0"]')).to_have_text(re.compile(r"^\d+\.\d\d$"))
+    expect(way).to_have_attribute("data-cursor", re.compile(r"^-1\d"))
+    # Time zero lies in all three.
+    pulse = page.locator('[data-plot="pulse"] .u-over')
+    pulse.hover(position={"x": 0.5 * pulse.bounding_box()["width"], "y": 40})
+    for place in now.all():
+        expect(place).to_have_text(re.compile(r"\d"))
+    expect(way).to_have_attribute("data-cursor", re.compile(r"^-?0\.\d"))
+    page.mouse.move(5, 5)
+    expect(way).to_have_attribute("data-cursor", "")
 
 
 def test_the_event_page_on_a_phone(event, open_page, screenshot):

@@ -30,6 +30,23 @@ RUN_AXE = """async () => {
   return found.violations.filter((v) => v.impact === "serious" || v.impact === "critical")
     .map((v) => `${v.id}: ${v.nodes.slice(0, 3).map((n) => n.html.slice(0, 160)).join(" | ")}`);
 }"""
+
+
+def keep(page, screenshot, name):
+    """Pictures at desk and phone width, both schemes; nothing overflows, nothing is hard to read, axe is content."""
+    page.evaluate(axe_source())
+    page.evaluate("scrollTo(0, 0)")
+    for width, which in ((1280, "desk"), (390, "phone")):
+        page.set_viewport_size({"width": width, "height": 844})
+        page.wait_for_function("document.documentElement.scrollWidth <= window.innerWidth")
+        for scheme in ("dark", "light"):
+            page.emulate_media(color_scheme=scheme)
+            assert page.evaluate(CONTRAST) == []
+            screenshot(page, f"{name}-{which}-{scheme}")
+        assert page.evaluate(RUN_AXE) == []
+    page.set_viewport_size({"width": 1280, "height": 800})
+
+
 PATHS = {
     "login": "/login",
     "fleet": "/",
@@ -60,6 +77,11 @@ PATHS = {
     "users": "/users",
     "audit": "/audit",
     "account": "/account",
+    "alerts": "/alerts?show=all",
+    "how": "/how#delta-v",
+    "privacy": "/privacy",
+    "events-none": "/events?q=nothing+like+it&review=open",
+    "trips-none": "/trips?q=nothing+like+it",
     "missing": "/vehicles/nowhere",
 }
 

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import datetime as dt
 import re
+import shutil
 import threading
 from collections.abc import Iterator
+from pathlib import Path
 
 import httpx
 import numpy as np
@@ -21,7 +23,9 @@ from server.formats.columns import Columns
 from server.formats.drive import from_drive
 from server.jobs.work import bring_up_to_date
 from server.models import User
+from server.pages.qr import Code, qr_code
 from server.uploader import batches, encode
+from tests.browser.conftest import ARGUMENTS, Watched
 from tests.browser.scenes import CHATTER, PATIENCE_MS
 
 PHONE = {"width": 390, "height": 844}
@@ -209,3 +213,48 @@ def test_driving_off_leads_to_a_certificate(installer, box, drive, screenshot):
     assert pdf.status == 200
     mounted = page.request.get(f"/api/v1/devices/{box.id}/installation").json()
     assert np.degrees(angle_between(np.array(mounted["R_va"]), MOUNT)) < 4.0
+
+
+def filmed(code: Code, path: Path, width: int = 640, height: int = 480) -> None:
+    """A film of one picture, YUV 4:2:0: the code on grey, as a camera sees it."""
+    luma = np.full((height, width), 170, dtype=np.uint8)
+    scale = 320 // code.size
+    label = np.full((code.size, code.size), 235, dtype=np.uint8)
+    for x, y in re.findall(r"M(\d+) (\d+)h1v1h-1z", code.d):
+        label[int(y), int(x)] = 20
+    label = np.kron(label, np.ones((scale, scale), dtype=np.uint8))
+    luma[80 : 80 + label.shape[0], 150 : 150 + label.shape[1]] = label
+    chroma = np.full(width * height // 2, 128, dtype=np.uint8)
+    frame = b"FRAME\n" + luma.tobytes() + chroma.tobytes()
+    path.write_bytes(f"YUV4MPEG2 W{width} H{height} F10:1 Ip A1:1 C420jpeg\n".encode() + 5 * frame)
+
+
+def test_the_code_on_a_box_is_scanned(site, browser, settings, box, tmp_path, screenshot):
+    filmed(qr_code(f"{site.address}/install?code={box.code}"), tmp_path / "film.y4m")
+    camera = [
+        "--use-fake-ui-for-media-stream",
+        "--use-fake-device-for-media-stream",
+        f"--use-file-for-fake-video-capture={tmp_path / 'film.y4m'}",
+    ]
+    phone = browser.browser_type.launch(executable_path=shutil.which("chromium"), args=[*ARGUMENTS, *camera])
+    try:
+        context = phone.new_context(base_url=site.address, viewport=PHONE)
+        context.request.post("/api/v1/auth/session", data={"code": settings.admin_token.get_secret_value()})
+        page = context.new_page()
+        page.set_default_timeout(PATIENCE_MS)
+        watched = Watched(page, site.address)
+        page.goto("/install")
+        page.get_by_role("button", name="Scan the code").click()
+        expect(page.get_by_label("Picture of the camera")).to_be_visible()
+        page.wait_for_url(f"**/install/{box.id}", timeout=PATIENCE_MS)
+        expect(page.get_by_role("heading", name="SC-new")).to_be_visible()
+        screenshot(page, "install-scanned")
+        watched.check()
+    finally:
+        phone.close()
+
+
+def test_a_phone_without_a_camera_says_so(installer):
+    installer.goto("/install")
+    installer.get_by_role("button", name="Scan the code").click()
+    expect(installer.locator("#scan-words")).to_have_text("The camera is not allowed or not there: type the code.")

@@ -122,7 +122,7 @@ def test_the_map_follows_and_reframes(site, open_page):
         announce(session, "device", at=now, organisation_id=site.organisation_id, device_id=device.id)
     expect(page.locator("fleet-map")).to_have_attribute("data-marks", "6")
     # Greenland comes into view only when the map is framed anew around Iceland and Italy.
-    wait_drawn(page, page.locator("fleet-map"), css(page, "unknown-fill"), 30)
+    wait_drawn(page.locator("fleet-map"), css(page, "unknown-fill"), 30)
 
 
 def test_a_trip_is_chosen_and_its_cursor_is_one(site, open_page, screenshot):
@@ -134,7 +134,7 @@ def test_a_trip_is_chosen_and_its_cursor_is_one(site, open_page, screenshot):
     expect(page).to_have_url(re.compile(r"trip="))
     page.get_by_role("button", name="The trip").click()
     expect(page).to_have_url(re.compile(r"from=.*to="))
-    wait_drawn(page, page.locator('[data-plot="force"] canvas'), css(page, "axis-z"), 200)
+    wait_drawn(page.locator('[data-plot="force"] canvas'), css(page, "axis-z"), 200)
     over = page.locator('[data-plot="speed"] .u-over')
     over.scroll_into_view_if_needed()
     over.hover(position={"x": 300, "y": 60})

@@ -13,7 +13,7 @@ from playwright.sync_api import expect
 
 from nav_core.rotation import matrix_to_thesis, rotvec_to_matrix
 from server.models import Device, Installation, MountingRevision
-from tests.browser.scenes import CHATTER, PATIENCE_MS, coloured
+from tests.browser.scenes import CHATTER, PATIENCE_MS, wait_coloured
 from tests.browser.seeding import MOUNT
 
 TURN = rotvec_to_matrix(np.array([0.0, 0.0, np.radians(38.0)]))
@@ -76,14 +76,8 @@ def test_the_history_is_walked_through_in_picture_and_words(open_page, screensho
     scene = page.locator("scene-3d")
     expect(scene).to_have_attribute("data-state", "open", timeout=PATIENCE_MS)
     connected = time.monotonic() - began
-    drawn = {}
-    for _ in range(20):
-        drawn = coloured(page.locator("scene-3d iframe").screenshot(timeout=PATIENCE_MS))
-        if min(drawn.values()) > 150:
-            break
-        page.wait_for_timeout(300)
+    drawn = wait_coloured(page.locator("scene-3d iframe"), lambda drawn: min(drawn.values()) > 150)
     print(f"connected after {connected:.1f} s, drawn after {time.monotonic() - began:.1f} s: {drawn}")
-    assert min(drawn.values()) > 150, drawn
     # Scene state: all that the page's legend names.
     state = page.locator("scene-3d iframe").evaluate("frame => new URL('state', frame.src).href")
     told = state_of(page, state)

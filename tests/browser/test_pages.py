@@ -6,6 +6,7 @@ import datetime as dt
 import io
 import json
 import re
+import time
 
 import numpy as np
 import pytest
@@ -32,13 +33,11 @@ def css(page, name: str) -> str:
     return page.evaluate(f"getComputedStyle(document.documentElement).getPropertyValue('--{name}').trim()")
 
 
-def wait_drawn(page, locator, colour: str, at_least: int) -> None:
-    """Wait until an element shows enough of a colour; drawing has no event to wait for."""
-    for _ in range(100):
-        if count_near(pixels(locator), colour) >= at_least:
-            return
-        page.wait_for_timeout(100)
-    pytest.fail(f"only {count_near(pixels(locator), colour)} pixels of {colour}")
+def wait_drawn(locator, colour: str, at_least: int) -> None:
+    """Wait until an element shows enough of a colour: a picture takes a frame, so looking again is the wait."""
+    until = time.monotonic() + 30.0
+    while (found := count_near(pixels(locator), colour)) < at_least:
+        assert time.monotonic() < until, f"only {found} pixels of {colour}"
 
 
 def test_signing_in_leads_to_the_page_that_was_asked_for(site, open_page):
@@ -82,8 +81,8 @@ def test_the_fleet_page_says_how_every_box_stands_and_draws_a_map(open_page, scr
         expect(tile.locator("li")).to_have_text(names)
     fleet_map = page.locator("fleet-map")
     expect(fleet_map).to_have_attribute("data-marks", "5")
-    wait_drawn(page, fleet_map, css(page, "good-fill"), 80)
-    wait_drawn(page, fleet_map, css(page, "alarm-fill"), 80)
+    wait_drawn(fleet_map, css(page, "good-fill"), 80)
+    wait_drawn(fleet_map, css(page, "alarm-fill"), 80)
     image = pixels(fleet_map)
     assert count_near(image, css(page, "land"), 6) > 0.2 * image[..., 0].size
     assert count_near(image, css(page, "sea"), 6) > 0.1 * image[..., 0].size
@@ -92,7 +91,7 @@ def test_the_fleet_page_says_how_every_box_stands_and_draws_a_map(open_page, scr
     for scheme in ("dark", "light", "dark"):
         page.emulate_media(color_scheme=scheme)
     for colour in ("good-fill", "alarm-fill"):
-        wait_drawn(page, fleet_map, css(page, colour), 80)
+        wait_drawn(fleet_map, css(page, colour), 80)
 
 
 def test_the_vehicle_page_shows_mounting_history_track_and_signals(site, open_page, screenshot):
@@ -118,21 +117,21 @@ def test_the_vehicle_page_shows_mounting_history_track_and_signals(site, open_pa
     track.scroll_into_view_if_needed()
     expect(track).to_have_attribute("data-points", "240")
     for speed in ("#3b6fd4", "#22a884"):  # standing, and as fast as in town
-        wait_drawn(page, track, speed, 30)
+        wait_drawn(track, speed, 30)
     for plot, colour in (("speed", "track"), ("force", "axis-x"), ("force", "axis-y"), ("force", "axis-z")):
-        wait_drawn(page, page.locator(f'[data-plot="{plot}"] canvas'), css(page, colour), 200)
+        wait_drawn(page.locator(f'[data-plot="{plot}"] canvas'), css(page, colour), 200)
     expect(page.get_by_role("button", name="Vehicle axes")).to_have_attribute("aria-pressed", "true")
     screenshot(page, "vehicle")
     page.emulate_media(color_scheme="dark")
-    wait_drawn(page, track, css(page, "land"), 1000)
-    wait_drawn(page, track, "#22a884", 30)
-    wait_drawn(page, page.locator('[data-plot="force"] canvas'), css(page, "axis-x"), 200)
+    wait_drawn(track, css(page, "land"), 1000)
+    wait_drawn(track, "#22a884", 30)
+    wait_drawn(page.locator('[data-plot="force"] canvas'), css(page, "axis-x"), 200)
 
 
 def test_dragging_over_a_chart_fetches_the_part_and_a_double_click_goes_back(site, open_page):
     page = open_page(f"/vehicles/{site.vehicles['Fiat Panda']}")
     chart = page.locator('[data-plot="force"] .u-over')
-    wait_drawn(page, page.locator('[data-plot="force"] canvas'), css(page, "axis-z"), 200)
+    wait_drawn(page.locator('[data-plot="force"] canvas'), css(page, "axis-z"), 200)
     chart.scroll_into_view_if_needed()
     box = chart.bounding_box()
     middle = box["y"] + box["height"] / 2

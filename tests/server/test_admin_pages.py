@@ -336,7 +336,7 @@ def test_speeds_of_an_event_in_the_readers_unit(app, serve, tenants, clock):
 
 @pytest.mark.both_databases
 def test_trips_are_listed_filtered_and_paged(admin, tenants, monkeypatch):
-    monkeypatch.setattr("server.pages.trips.SHOWN", 2)
+    monkeypatch.setattr("server.pages.lists.PAGE", 2)
     with tenants.database.transaction() as session:
         first = session.get_one(Trip, tenants.mine["trip"])
         kept = {c.key: getattr(first, c.key) for c in sa.inspect(Trip).columns if c.key != "id"}
@@ -351,13 +351,52 @@ def test_trips_are_listed_filtered_and_paged(admin, tenants, monkeypatch):
         return re.findall(r'data-label="Distance, km" class="right num">([\d.]+)<', answer.text)
 
     assert listed() == ["3.0", "2.0"]
-    older = re.search(r'href="/trips\?([^"]*)"', admin.get("/trips").text)
-    assert older is not None
-    page = admin.get(f"/trips?{older[1].replace('&amp;', '&')}").text
-    assert re.findall(r'data-label="Distance, km" class="right num">([\d.]+)<', page) == ["1.0", "0.0"]
-    assert listed(shortest_km=2.5) == ["3.0"]
+    assert listed(page=2) == ["1.0", "0.0"]
+    assert listed(sort="distance", down=False) == ["0.0", "1.0"]
+    assert listed(shortest=2.5) == ["3.0"]
     assert listed(since="2026-03-02", until="2026-03-02") == ["1.0"]
     assert listed(q="vehicle of a") == ["3.0", "2.0"]
     assert listed(q="nothing") == []
-    for wrong in ({"since": "soon"}, {"before": "x"}):
+    for wrong in ({"since": "soon"}, {"sort": "x"}):
         assert admin.get("/trips", params=wrong).status_code == 422, wrong
+
+
+# --- events
+
+
+@pytest.mark.both_databases
+def test_events_are_listed_filtered_sorted_and_paged(admin, tenants, monkeypatch):
+    monkeypatch.setattr("server.pages.lists.PAGE", 2)
+    with tenants.database.transaction() as session:
+        first = session.get_one(Event, tenants.mine["event"])
+        kept = {c.key: getattr(first, c.key) for c in sa.inspect(Event).columns if c.key != "id"}
+        for k in range(1, 4):
+            at = first.at + dt.timedelta(days=k)
+            dv = {**first.result["delta_v_kmh"], "resultant": None if k == 2 else 100.0 - 10.0 * k}
+            more = {"at": at, "result": {**first.result, "delta_v_kmh": dv, "peak_g": 50.0 + k}, "note": f"claim {k}"}
+            more["verdict"] = "confirmed" if k == 3 else None
+            session.add(Event(**{**kept, **more}))
+        day = first.at.date() + dt.timedelta(days=2)
+
+    def listed(**params) -> list[str]:
+        answer = admin.get("/events", params=params)
+        assert answer.status_code == 200, answer.text
+        assert "vehicle of b" not in answer.text
+        return re.findall(r'data-label="Peak, g" class="right num">([\d.]+)<', answer.text)
+
+    own = f"{first.result['peak_g']:.1f}"
+    assert listed() == ["53.0", "52.0"]
+    assert listed(page=2) == ["51.0", own]
+    assert listed(page=99) == ["51.0", own]
+    assert listed(sort="when", down=False) == [own, "51.0"]
+    assert listed(sort="delta_v") == ["51.0", "53.0"]
+    assert listed(sort="delta_v", page=2) == [own, "52.0"], "what is not known comes last"
+    assert listed(sort="delta_v", down=False, page=2)[-1] == "52.0"
+    assert listed(sort="peak", down=False) == [own, "51.0"]
+    assert listed(review="confirmed") == ["53.0"]
+    assert listed(since=str(day), until=str(day)) == ["52.0"]
+    assert listed(q="claim 2") == ["52.0"]
+    assert listed(q="vehicle of a", review="open") == ["52.0", "51.0"]
+    assert listed(q="nothing") == listed(show="manoeuvres") == []
+    for wrong in ({"since": "soon"}, {"sort": "x"}, {"page": 0}):
+        assert admin.get("/events", params=wrong).status_code == 422, wrong

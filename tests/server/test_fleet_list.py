@@ -12,7 +12,7 @@ import sqlalchemy as sa
 
 from server.accounts.service import ensure_organisation, open_session
 from server.models import Device, DeviceState, Installation, Organisation, Trip, Vehicle, WebSession
-from server.pages import fleet as module
+from server.pages import lists
 from server.pages.fleet import Wanted, fleet, places, whole
 
 KNOWN = {"R_va": [[1, 0, 0], [0, 1, 0], [0, 0, 1]], "sigma_deg": {"x": 0.2, "y": 0.7, "z": 0.4}, "reasons": []}
@@ -102,7 +102,7 @@ def test_filters_and_order(cars, database, clock, wanted, expected):
 
 
 def test_a_page_at_a_time(cars, database, clock, monkeypatch):
-    monkeypatch.setattr(module, "PAGE", 3)
+    monkeypatch.setattr(lists, "PAGE", 3)
     assert names(database, cars, clock, page=1) == ["=cmd()", "Alfa", "Bare"]
     assert names(database, cars, clock, page=2) == ["Citroen"]
 

@@ -479,9 +479,20 @@ def test_a_view_of_ones_own_walks_through_the_history_and_nobody_else_sees_it(
             assert np.array(told["R_va"]) == pytest.approx(before)
             assert np.array(client.get(f"{other}state").json()["R_va"]) == pytest.approx(R_VA)
             assert "before" in client.put(f"{own}state", json={"step": now, "before": True}).json()["drawn"]
+            # The instant under a chart's cursor: how the box sat then, and the force that the chart shows.
+            then = {"at": (moved_at - dt.timedelta(seconds=1)).timestamp(), "f": [1.0, 2.0, -9.0]}
+            told = client.put(f"{own}state", json=then).json()
+            assert np.array(told["R_va"]) == pytest.approx(before)
+            assert told["f_v_mps2"] == pytest.approx(before @ then["f"], abs=0.01)
+            assert "t_frame" not in told["drawn"]
+            later = {"at": moved_at.timestamp() + 1.0, "f": [1.0, 2.0, -9.0], "frame": "v"}
+            told = client.put(f"{own}state", json=later).json()
+            assert np.array(told["R_va"]) == pytest.approx(R_VA)
+            assert told["f_v_mps2"] == [1.0, 2.0, -9.0]
+            assert client.put(f"{own}state", json={**later, "f": [None, 1.0, 2.0]}).json()["f_v_mps2"] is None
             # A step that is gone shows how it stands; nonsense is refused; a stranger's ticket opens nothing.
             assert np.array(client.put(f"{own}state", json={"step": "gone"}).json()["R_va"]) == pytest.approx(R_VA)
-            for nonsense in ({"proposal": 4}, {"camera": 1}, []):
+            for nonsense in ({"proposal": 4}, {"camera": 1}, {"at": -1}, {"f": [1.0]}, {"f": [1e9, 0, 0]}, []):
                 assert client.put(f"{own}state", json=nonsense).status_code == 422, nonsense
             secret = own.split("/")[2]
             wrong = own.replace(secret, "A" * len(secret))

@@ -25,8 +25,9 @@ interface DocumentEventMap {
   /** Parts of the page were swapped. */
   "scatola:parts": CustomEvent;
   "scatola:zone": CustomEvent;
-  /** The instant (Unix seconds) under the charts' cursor, and under the pointer on the map. */
-  "scatola:cursor": CustomEvent<{ at: number | null }>;
+  /** Under the charts' cursor: the instant (Unix s; of an event's charts s from time zero), the values, their axes. */
+  "scatola:cursor": CustomEvent<{ at: number | null; values: Column; frame?: string }>;
+  /** The instant under the pointer on the map. */
   "scatola:place": CustomEvent<{ at: number }>;
 }
 
@@ -35,10 +36,10 @@ interface HTMLElementTagNameMap {
 }
 
 /** What a 3D view of one's own shows, and what it tells of itself. */
-type Choice = { step?: string | null; before?: boolean; proposal?: number | null };
+type Choice = { step?: string | null; before?: boolean; proposal?: number | null; at?: number | null; f?: Column; frame?: string };
 type SceneState = { onlookers: number; drawn: string[] };
 
-/** Scanning codes, where the browser can (not in TypeScript's library). */
+/** Reading codes (not in TypeScript's library). */
 declare class BarcodeDetector {
   constructor(options: { formats: string[] });
   detect(source: HTMLVideoElement): Promise<{ rawValue: string }[]>;

@@ -4,12 +4,11 @@
 import * as maplibre from "../vendor/maplibre-gl/maplibre-gl.mjs";
 import { fetched, make } from "./page.js";
 import { colour, onScheme } from "./palette.js";
+import { UNITS, t } from "./words.js";
 
 export const METRES_PER_DEGREE = 111_320;
 /** @type {Layer[]} */
 const PICTURES = [{ id: "tiles", type: "raster", source: "tiles" }];
-
-let registered = false;
 
 /** A file of the site's map styles, with the reader's colours where it names them. @param {string} name */
 async function drawn(name) {
@@ -20,8 +19,7 @@ async function drawn(name) {
 /** The operator's archive of tiles: pictures, or shapes by the Protomaps schema. @param {string} address @returns {Promise<Tiles>} */
 async function archive(address) {
   const { PMTiles, Protocol } = await import("../vendor/pmtiles/pmtiles.mjs");
-  if (!registered) maplibre.addProtocol("pmtiles", new Protocol().tile);
-  registered = true;
+  maplibre.addProtocol("pmtiles", new Protocol().tile);
   const file = new URL(address, location.href).href, url = `pmtiles://${file}`;
   const shapes = (await new PMTiles(file).getHeader()).tileType === 1;
   return shapes ? { source: { type: "vector", url }, layers: await drawn("protomaps") } : { source: { type: "raster", url, tileSize: 256 }, layers: PICTURES };
@@ -80,11 +78,11 @@ export async function makeMap(host, name, sources) {
   host.append(container);
   const map = new maplibre.Map({
     container, style: await styled(name, tiles), center: [12, 44], zoom: 3, maxZoom: 18,
-    attributionControl: pictures || shapes ? { compact: true } : false, dragRotate: false, pitchWithRotate: false, fadeDuration: 0,
+    attributionControl: pictures || shapes ? { compact: true } : false, locale: { "Map.Title": t("Map"), "NavigationControl.ZoomIn": t("Zoom in"), "NavigationControl.ZoomOut": t("Zoom out") }, dragRotate: false, pitchWithRotate: false, fadeDuration: 0,
   });
   map.touchZoomRotate.disableRotation();
   map.addControl(new maplibre.NavigationControl({ showCompass: false }), "top-right");
-  map.addControl(new maplibre.ScaleControl({ unit: "metric" }), "bottom-right");
+  map.addControl(new maplibre.ScaleControl({ unit: UNITS }), "bottom-right");
   const drawGrid = () => put(map, "grid", metricGrid(map));
   map.on("style.load", () => {
     for (const [id, features] of Object.entries(sources())) put(map, id, features);

@@ -3,10 +3,12 @@
 import uPlot from "../vendor/uplot/uplot.mjs";
 import { colour, onScheme } from "./palette.js";
 import { formatter } from "./time.js";
+import { LANGUAGE } from "./words.js";
 
 /** An element with plots, each in a place `data-plot="name"`, and a line of words. */
 export class Charts extends HTMLElement {
   /** By name. @type {Record<string, Plot>} */ plots = {};
+  /** The plot whose cursor the rest of the page follows. */ teller = "speed";
 
   /** Fit the width; draw anew in other colours or another zone. @param {() => void} draw */
   keepUp(draw) {
@@ -22,15 +24,29 @@ export class Charts extends HTMLElement {
   }
 
   /** A plot as high as its place. @param {string} name @param {ChartOptions} options @param {Column[]} columns */
-  plot(name, { lines, ticks = clockWords, ...more }, columns) {
+  plot(name, { lines, ticks = clockWords, hooks, ...more }, columns) {
     const host = /** @type {HTMLElement} */ (this.querySelector(`[data-plot="${name}"]`));
     const axis = { stroke: colour("muted"), grid: { stroke: colour("line"), width: 1 }, ticks: { show: false }, font: "12px system-ui, sans-serif" };
     return (this.plots[name] = new uPlot({
       width: host.clientWidth, height: host.clientHeight, legend: { show: false },
-      axes: [{ ...axis, space: 90, size: 30, values: ticks }, { ...axis, size: 48, values: (_, values) => values.map(signed) }],
+      axes: [{ ...axis, space: 90, size: 30, values: ticks }, { ...axis, size: 48, values: (_, values) => values.map((value) => signed(value)) }],
       series: [{}, ...lines.map((line) => ({ width: 1.5, points: { show: false }, ...line }))],
+      hooks: { ...hooks, setCursor: [(plot) => this.#read(plot, name)] },
       ...more,
     }, /** @type {PlotData} */ (columns), host));
+  }
+
+  /** What is under the cursor: beside the names of the lines, and for the rest of the page. @param {Plot} plot @param {string} name */
+  #read({ cursor: { idx, left = -1 }, series, data, posToVal }, name) {
+    const values = data.map((column) => column[idx ?? -1]);
+    series.forEach(({ label }, k) => this.put("now", `${label}`, values[k], 2));
+    if (name === this.teller) document.dispatchEvent(new CustomEvent("scatola:cursor", { detail: { at: left < 0 ? null : posToVal(left, "x"), values: values.slice(1), frame: this.dataset.frame } }));
+  }
+
+  /** @param {string} kind @param {string} name @param {Value} value @param {number} digits */
+  put(kind, name, value, digits) {
+    const place = this.querySelector(`[data-${kind}="${name}"]`);
+    if (place) place.textContent = typeof value === "number" ? signed(value, digits) : "";
   }
 
   discard() {
@@ -45,8 +61,8 @@ export class Charts extends HTMLElement {
   }
 }
 
-/** With the sign that typography has for minus. @param {number} value */
-export const signed = (value) => String(value).replace("-", "−");
+/** As the language writes it, with the sign that typography has for minus. @param {number} value @param {number} [digits] */
+export const signed = (value, digits) => value.toLocaleString(LANGUAGE, { minimumFractionDigits: digits, maximumFractionDigits: digits ?? 3, useGrouping: false }).replace("-", "−");
 
 /** Time of day, with the fraction when the window is short. @type {Ticks} */
 function clockWords(_, ticks) {

@@ -1,14 +1,18 @@
 // <event-charts document="url">: delta-V with its band, the pulse as recorded and as estimated, speed with its band.
 
 import { Charts, signed } from "./charts.js";
-import { eventDocument, forgetDocuments } from "./event-document.js";
-import { whenSeen } from "./page.js";
+import { fetched, whenSeen } from "./page.js";
 import { colour } from "./palette.js";
 import { SPEED, t } from "./words.js";
 
 const SIGMAS_95 = 1.96;
 /** km/h in the reader's unit. @param {Column} values @returns {Column} */
 const speeds = (values) => values.map((v) => v === null ? v : v * SPEED.perMps / 3.6);
+
+/** @type {Promise<EventDocument> | undefined} */
+let asked;
+/** The canonical JSON of the page's event, asked for once. @param {Element} element */
+export const eventDocument = (element) => (asked ??= fetched(element.getAttribute("document") ?? "").then((answer) => answer.json()));
 
 class EventCharts extends Charts {
   connectedCallback() {
@@ -17,7 +21,7 @@ class EventCharts extends Charts {
     document.addEventListener("scatola:change", ({ detail: change }) => {
       // A further revision of this event.
       if (change.kind !== "event" || !change.revision || !this.getAttribute("document")?.includes(change.event_id ?? "-")) return;
-      forgetDocuments();
+      asked = undefined;
       draw();
     });
   }
@@ -28,13 +32,12 @@ class EventCharts extends Charts {
     this.discard();
     const { pulse, trajectory } = found.curves;
     if (pulse) {
-      const ms = pulse.t_s.map((t) => (t === null ? null : 1000 * t));
       const after = speeds(pulse.sigma_kmh).map((sigma, k) => ((pulse.t_s[k] ?? -1) >= 0 ? sigma : 0));
       const along = { stroke: colour("axis-x") }, across = { stroke: colour("axis-y") }, dash = [5, 4];
-      this.#plot("dv", "ms", ms, [{ ...along, values: speeds(pulse.delta_v_kmh_x), sigma: after }, { ...across, values: speeds(pulse.delta_v_kmh_y), sigma: after }]);
+      this.#plot("dv", "ms", pulse.t_s, [{ ...along, values: speeds(pulse.delta_v_kmh_x), sigma: after }, { ...across, values: speeds(pulse.delta_v_kmh_y), sigma: after }]);
       const clipped = pulse.clipped.some(Boolean);
       this.querySelector("[data-clipped]")?.toggleAttribute("hidden", !clipped);
-      this.#plot("pulse", "ms", ms, [
+      this.#plot("pulse", "ms", pulse.t_s, [
         { ...along, values: pulse.recorded_g_x }, { ...across, values: pulse.recorded_g_y },
         ...(clipped ? [{ ...along, dash, values: pulse.acceleration_g_x }, { ...across, dash, values: pulse.acceleration_g_y }] : []),
       ]);
@@ -49,7 +52,7 @@ class EventCharts extends Charts {
     const columns = [x];
     /** @type {ChartOptions["lines"]} */ const lines = [];
     /** @type {ChartOptions["bands"]} */ const bands = [];
-    for (const { values, sigma, ...line } of curves) {
+    for (const [k, { values, sigma, ...line }] of curves.entries()) {
       if (sigma) {
         const reach = (/** @type {1 | -1} */ side) => values.map((v, k) => (v === null || typeof sigma[k] !== "number" ? null : v + side * SIGMAS_95 * sigma[k]));
         columns.push(reach(1), reach(-1));
@@ -57,11 +60,11 @@ class EventCharts extends Charts {
         bands.push({ series: [lines.length - 1, lines.length], fill: `${line.stroke}33` });
       }
       columns.push(values);
-      lines.push({ ...line, width: 1.8 });
+      lines.push({ ...line, label: name + k, width: 1.8 });
     }
     this.plot(name, {
-      lines, bands, scales: { x: { time: false } }, ticks: (_, values) => values.map((value) => `${signed(value)} ${unit}`),
-      cursor: { drag: { x: true, y: false }, points: { size: 6 }, ...(name !== "speed" && { sync: { key: "event" } }) },
+      lines, bands, scales: { x: { time: false } }, ticks: (_, values) => values.map((value) => `${signed(unit === "s" ? value : 1000 * value)} ${unit}`),
+      cursor: { drag: { x: true, y: false }, points: { size: 6 }, sync: { key: "event" } },
     }, columns);
   }
 }

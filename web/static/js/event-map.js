@@ -1,7 +1,7 @@
 // <event-map document="url" tiles="" pmtiles="">: the way before and after an event, its 95 % ellipses, where it happened and ended.
 
-import { METRES_PER_DEGREE, feature, fit, makeMap } from "./basemap.js";
-import { eventDocument } from "./event-document.js";
+import { METRES_PER_DEGREE, feature, fit, makeMap, put } from "./basemap.js";
+import { eventDocument } from "./event-charts.js";
 import { whenSeen } from "./page.js";
 import { t } from "./words.js";
 
@@ -18,6 +18,10 @@ class EventMap extends HTMLElement {
     const map = await makeMap(this, "event", () => features(way, points, rest));
     const near = points.filter(({ t }) => t >= -SHOWN_BEFORE_S && t <= SHOWN_AFTER_S);
     fit(map, (near.length ? near : points).map(({ place }) => place), 18);
+    document.addEventListener("scatola:cursor", ({ detail: { at } }) => {
+      put(map, "cursor", mark(points, at));
+      this.dataset.cursor = `${at ?? ""}`;
+    });
     this.dataset.points = String(points.length);
   }
 }
@@ -39,17 +43,19 @@ function features(way, points, rest) {
     const part = points.filter(({ t }) => t >= from && t <= to);
     return part.length > 1 ? [feature("LineString", part.map(({ place }) => place), { when })] : [];
   };
-  const mark = (/** @type {number | null} */ wanted, /** @type {string} */ words, /** @type {string} */ say) => {
-    if (wanted === null || !points[0]) return [];
-    const nearest = points.reduce((best, p) => (Math.abs(p.t - wanted) < Math.abs(best.t - wanted) ? p : best));
-    return [feature("Point", nearest.place, { words, say })];
-  };
   const every = points.filter(({ t }, n) => Math.floor(t / ELLIPSE_EVERY_S) !== Math.floor((points[n - 1]?.t ?? NaN) / ELLIPSE_EVERY_S));
   return {
     way: [...line("before", -Infinity, 0), ...line("last", -5, 0), ...line("after", 0, Infinity)],
     ellipses: every.flatMap(({ place, k }) => ellipse(place, way.ellipse_long_m[k], way.ellipse_short_m[k], way.ellipse_deg[k])),
-    marks: [...mark(0, "impact", t("impact")), ...mark(rest, "rest", t("rest"))],
+    marks: [...mark(points, 0, "impact", t("impact")), ...mark(points, rest, "rest", t("rest"))],
   };
+}
+
+/** @param {Point[]} points @param {number | null} wanted s @param {string} [words] @param {string} [say] */
+function mark(points, wanted, words, say) {
+  if (wanted === null || !points[0]) return [];
+  const nearest = points.reduce((best, p) => (Math.abs(p.t - wanted) < Math.abs(best.t - wanted) ? p : best));
+  return [feature("Point", nearest.place, { words, say })];
 }
 
 /** An ellipse on the ground. @param {LonLat} place @param {Value} long m @param {Value} short m @param {Value} turn degrees from north */

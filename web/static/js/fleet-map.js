@@ -4,20 +4,11 @@
 import { Popup } from "../vendor/maplibre-gl/maplibre-gl.mjs";
 import { feature, fit, makeMap, note, put } from "./basemap.js";
 import { fetched, gathered, make } from "./page.js";
-import { colour } from "./palette.js";
 import { t } from "./words.js";
 
-const SIZE = 22;
 const BATCH_MS = 500;
-
-/** Outline of each state in a square of SIZE, the worst last. @type {Record<string, string>} */
-const SHAPES = {
-  good: "M4 11a7 7 0 1 0 14 0a7 7 0 1 0 -14 0z",
-  unknown: "M5 11a6 6 0 1 0 12 0a6 6 0 1 0 -12 0z",
-  attention: "M11 3l8.5 15h-17z",
-  alarm: "M11 2l9 9l-9 9l-9 -9z",
-};
-const STATES = Object.keys(SHAPES);
+/** Layers that show single boxes. */
+const BOXES = ["boxes", "worse"];
 
 class FleetMap extends HTMLElement {
   /** @type {MapView | undefined} */ #map;
@@ -27,15 +18,14 @@ class FleetMap extends HTMLElement {
 
   async connectedCallback() {
     const map = (this.#map = await makeMap(this, "fleet", () => ({ boxes: this.#features() })));
-    map.setMissingStyleImageResolver(async (state) => { if (!map.hasImage(state)) map.addImage(state, mark(state), { pixelRatio: 2 }); });
     const popup = new Popup({ closeButton: false, closeOnClick: false, offset: 14 });
-    map.on("mousemove", "boxes", ({ features, lngLat }) => {
+    map.on("mousemove", BOXES, ({ features, lngLat }) => {
       const { name, words } = features?.[0]?.properties ?? {};
       popup.setLngLat(lngLat).setDOMContent(make("div", "", make("b", "", name), words)).addTo(map);
       map.getCanvas().style.cursor = "pointer";
     });
-    map.on("mouseleave", "boxes", () => { popup.remove(); map.getCanvas().style.cursor = ""; });
-    map.on("click", "boxes", (event) => { location.href = event.features?.[0]?.properties.url; });
+    map.on("mouseleave", BOXES, () => { popup.remove(); map.getCanvas().style.cursor = ""; });
+    map.on("click", BOXES, (event) => { location.href = event.features?.[0]?.properties.url; });
     map.on("click", "crowds", (event) => map.easeTo({ center: event.lngLat, zoom: map.getZoom() + 2 }));
     map.on("movestart", (event) => { if (event.originalEvent) this.#touched = true; });
     document.addEventListener("scatola:parts", this.#ask);
@@ -51,7 +41,7 @@ class FleetMap extends HTMLElement {
   }
 
   #features() {
-    return [...this.#places.values()].map(([, url, name, mark, words, lat, lon]) => feature("Point", [lon, lat], { url, name, mark, words, rank: STATES.indexOf(mark) }));
+    return [...this.#places.values()].map(([, url, name, mark, words, lat, lon]) => feature("Point", [lon, lat], { url, name, mark, words }));
   }
 
   #ask = async () => {
@@ -75,22 +65,6 @@ class FleetMap extends HTMLElement {
     }
     note(this, this.#places.size === 0 ? t("No box of this list has a position yet") : "");
   }
-}
-
-/** The mark of a state, at twice its size for sharp screens. @param {string} state */
-function mark(state) {
-  const c = /** @type {OffscreenCanvasRenderingContext2D} */ (new OffscreenCanvas(2 * SIZE, 2 * SIZE).getContext("2d"));
-  const outline = new Path2D(SHAPES[state]), ring = state === "unknown";
-  c.scale(2, 2);
-  c.lineJoin = "round";
-  c.lineWidth = ring ? 7 : 3;
-  c.strokeStyle = colour("card");
-  c.stroke(outline);
-  c.lineWidth = 3.5;
-  c.fillStyle = c.strokeStyle = colour(`${state}-fill`);
-  if (ring) c.stroke(outline);
-  else c.fill(outline);
-  return c.getImageData(0, 0, 2 * SIZE, 2 * SIZE);
 }
 
 customElements.define("fleet-map", FleetMap);

@@ -1,4 +1,4 @@
-// The installation assistant: scanning a code where the browser can, orientations in 3D, a sign when the box is ready.
+// The installation assistant: scanning a code, orientations in 3D, a sign when the box is ready.
 
 import { told } from "./page.js";
 import "./scene-3d.js";
@@ -8,7 +8,7 @@ const scan = document.getElementById("scan");
 const video = document.querySelector("video");
 const field = document.getElementById("code");
 
-if (scan && video && field instanceof HTMLInputElement && window.BarcodeDetector && navigator.mediaDevices) {
+if (scan && video && field instanceof HTMLInputElement && navigator.mediaDevices) {
   scan.hidden = false;
   scan.addEventListener("click", async () => {
     try {
@@ -17,7 +17,8 @@ if (scan && video && field instanceof HTMLInputElement && window.BarcodeDetector
       scan.hidden = true;
       video.hidden = false;
       await video.play();
-      const detector = new BarcodeDetector({ formats: ["qr_code", "code_128", "data_matrix"] });
+      const Detector = window.BarcodeDetector ?? (await import("../vendor/qr/decode.js")).BarcodeDetector;
+      const detector = new Detector({ formats: ["qr_code", "code_128", "data_matrix"] });
       for (;;) {
         const [found] = await detector.detect(video);
         if (found) {

@@ -58,15 +58,9 @@ class LiveMonitor extends Charts {
       const old = times.findIndex((at) => (at ?? 0) > this.#newest - KEEP_S);
       columns.forEach((column) => column.splice(0, Math.max(old, 0)));
       this.plots[group]?.setData(/** @type {PlotData} */ (columns), false);
-      names.forEach((name, k) => this.#put("now", name, columns[k + 1]?.at(-1), 2));
+      names.forEach((name, k) => this.put("now", name, columns[k + 1]?.at(-1), 2));
     }
     if (this.#newest > before) this.#arrived = performance.now();
-  }
-
-  /** @param {string} kind @param {string} name @param {Value} value @param {number} digits */
-  #put(kind, name, value, digits) {
-    const place = this.querySelector(`[data-${kind}="${name}"]`);
-    if (place) place.textContent = value?.toFixed(digits) ?? "–";
   }
 
   #frame = (/** @type {number} */ now) => {
@@ -74,8 +68,8 @@ class LiveMonitor extends Charts {
     // No oftener than the picture moves by a pixel.
     if (now - this.#drawn < Math.max(50, (1000 * this.#window) / this.clientWidth) || !this.#newest) return;
     this.#drawn = now;
-    this.#put("age", "sample", Date.now() / 1000 - this.#newest, 1);
-    if (this.#contact) this.#put("age", "contact", Date.now() / 1000 - this.#contact, 0);
+    this.put("age", "sample", Date.now() / 1000 - this.#newest, 1);
+    if (this.#contact) this.put("age", "contact", Date.now() / 1000 - this.#contact, 0);
     const max = this.#paused || this.#newest + Math.min((now - this.#arrived) / 1000, this.#window / 2);
     for (const group of Object.keys(GROUPS)) {
       if (!this.#part(group)?.hasAttribute("hidden")) (this.plots[group] ?? this.#plot(group)).setScale("x", { min: max - this.#window, max });

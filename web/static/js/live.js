@@ -102,11 +102,13 @@ const sent = new WeakMap();
 function swap(fresh) {
   for (const part of document.querySelectorAll("[data-live]")) {
     const next = fresh.getElementById(part.id);
-    if (!next || sent.get(part) === next.outerHTML) continue;
+    // Nobody loses what is being typed.
+    if (!next || sent.get(part) === next.outerHTML || part.querySelector(".menu[open], input:focus")) continue;
     const html = next.outerHTML;
     const focused = part.querySelector("a:focus")?.getAttribute("href");
     const adopted = document.adoptNode(next);
     formatTimes(adopted);
+    part.querySelectorAll("details").forEach(({ open }, k) => adopted.querySelectorAll("details")[k]?.toggleAttribute("open", open));
     part.replaceWith(adopted);
     sent.set(adopted, html);
     if (focused) [...adopted.querySelectorAll("a")].find((a) => a.getAttribute("href") === focused)?.focus({ preventScroll: true });

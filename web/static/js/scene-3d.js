@@ -2,13 +2,14 @@
 // player, in a frame of our own origin, opened with a short-lived ticket.  `own`: a scene that nobody else sees, which
 // shows what `show` asks for; the page looks after it and says when it is gone.
 
-import { csrf, fetched, make, whenSeen } from "./page.js";
+import { csrf, fetched, gathered, make, whenSeen } from "./page.js";
 import { t } from "./words.js";
 
 const LOOK_MS = 3000;
 /** Until the view has connected. */
 const FIRST_LOOK_MS = 600;
 const PATIENCE = 50;
+const SOON_MS = 120;
 
 export class Scene3d extends HTMLElement {
   #base = "";
@@ -17,6 +18,8 @@ export class Scene3d extends HTMLElement {
 
   connectedCallback() {
     whenSeen(this, () => void this.#open());
+    // What was at the instant under the charts' cursor.
+    document.addEventListener("scatola:cursor", ({ detail: { at, values, frame } }) => this.show(at === null ? {} : { at, f: values, frame }));
   }
 
   /** Show something else of the box's history. @param {Choice} choice */
@@ -24,8 +27,10 @@ export class Scene3d extends HTMLElement {
     if (JSON.stringify(choice) === JSON.stringify(this.#wanted)) return;
     this.#wanted = choice;
     this.#told = false;
-    if (this.dataset.state === "open") void this.#ask();
+    if (this.dataset.state === "open") this.#soon();
   }
+
+  #soon = gathered(SOON_MS, () => void this.#ask());
 
   async #open() {
     this.#say(t("Opening the 3D view"));

@@ -20,6 +20,7 @@ class SignalChart extends Charts {
   #chosen = false;
   #asking = new AbortController();
   /** @type {Signals | undefined} */ #signals;
+  teller = "force";
 
   connectedCallback() {
     this.#fromAddress();
@@ -31,8 +32,7 @@ class SignalChart extends Charts {
       if (detail.device_id === this.getAttribute("device") && "seconds" in this.#view) fetchSoon();
     });
     document.addEventListener("scatola:place", ({ detail }) => {
-      const plot = this.plots.speed;
-      plot?.setCursor({ left: plot.valToPos(detail.at, "x"), top: 1 });
+      for (const plot of Object.values(this.plots)) plot.setCursor({ left: plot.valToPos(detail.at, "x"), top: 1 });
     });
     this.keepUp(() => this.#draw());
     void this.#fetch();
@@ -111,7 +111,7 @@ class SignalChart extends Charts {
     if (!this.#signals) return;
     const { header } = this.#signals;
     this.dataset.frame = header.frame;
-    this.#put(this.plots.speed ?? this.#plot("speed", ["track"], speedRange, [tell]), this.#signals, ["speed"], SPEED.perMps);
+    this.#put(this.plots.speed ?? this.#plot("speed", ["track"], speedRange), this.#signals, ["speed"], SPEED.perMps);
     this.#put(this.plots.force ?? this.#plot("force", ["axis-x", "axis-y", "axis-z"], forceRange), this.#signals, FORCE, 1);
     const count = header.groups.reduce((sum, group) => sum + group.count, 0);
     this.say(count ? this.#words(header) : t("Not yet: no samples in this window"));
@@ -134,12 +134,12 @@ class SignalChart extends Charts {
     plot.setScale("x", { min: Date.parse(header.from) / 1000, max: Date.parse(header.to) / 1000 });
   }
 
-  /** @param {string} name @param {string[]} colours @param {ValueRange} range @param {((plot: Plot) => void)[]} setCursor */
-  #plot(name, colours, range, setCursor = []) {
+  /** @param {string} name @param {string[]} colours @param {ValueRange} range */
+  #plot(name, colours, range) {
     return this.plot(name, {
-      lines: colours.map((one) => ({ stroke: colour(one) })), scales: { x: { auto: false }, y: { range } },
+      lines: colours.map((one, k) => ({ stroke: colour(one), label: name + k })), scales: { x: { auto: false }, y: { range } },
       cursor: { sync: { key: "signals" }, drag: { x: true, y: false, setScale: false }, points: { size: 6 }, bind: { dblclick: () => () => { this.#zoomBack(); return null; } } },
-      hooks: { setSelect: [(plot) => this.#zoom(plot)], setCursor },
+      hooks: { setSelect: [(plot) => this.#zoom(plot)] },
     }, [[], ...colours.map(() => [])]);
   }
 
@@ -149,8 +149,12 @@ class SignalChart extends Charts {
     if (width < 8) return;
     const at = (/** @type {number} */ x) => iso(plot.posToVal(x, "x"));
     this.#back.push(this.#view);
-    for (const one of Object.values(this.plots)) one.setSelect({ left: 0, width: 0, top: 0, height: 0 }, false);
-    this.#show({ from: at(left), to: at(left + width) });
+    const from = at(left), to = at(left + width);
+    for (const one of Object.values(this.plots)) {
+      one.setSelect({ left: 0, width: 0, top: 0, height: 0 }, false);
+      one.setScale("x", { min: Date.parse(from) / 1000, max: Date.parse(to) / 1000 });
+    }
+    this.#show({ from, to });
   }
 
   #zoomBack() {
@@ -176,10 +180,5 @@ const forceRange = (_, low, high) => {
   const middle = (low + high) / 2, reach = 0.55 * Math.max(high - low, 2);
   return [middle - reach, middle + reach];
 };
-
-/** Tells the map which instant is under the cursor. @param {Plot} plot */
-function tell({ cursor: { left = -1 }, posToVal }) {
-  document.dispatchEvent(new CustomEvent("scatola:cursor", { detail: { at: left < 0 ? null : posToVal(left, "x") } }));
-}
 
 customElements.define("signal-chart", SignalChart);

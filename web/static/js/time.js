@@ -1,6 +1,6 @@
 // Times come from the server in UTC and are shown in the reader's zone, or in UTC at the press of a button.
 
-import { LANGUAGE, t } from "./words.js";
+import { LANGUAGE } from "./words.js";
 
 const KEY = "scatola:utc";
 const MINUTE_S = 60, HOUR_S = 3600, DAY_S = 86400;
@@ -14,14 +14,14 @@ export function formatter(style) {
 const DATE = /** @type {const} */ ({ day: "2-digit", month: "short" });
 const CLOCK = /** @type {const} */ ({ ...DATE, hour: "2-digit", minute: "2-digit" });
 
+const since = new Intl.RelativeTimeFormat(LANGUAGE, { numeric: "auto", style: "short" });
+
 /** @param {Date} at @param {number} now milliseconds @param {Intl.DateTimeFormat} day */
 function ago(at, now, day) {
-  const seconds = Math.round((now - at.getTime()) / 1000);
-  if (seconds < 5) return t("now");
-  if (seconds < MINUTE_S) return t("{n} s ago", { n: seconds - (seconds % 5) });
-  if (seconds < HOUR_S) return t("{n} min ago", { n: Math.floor(seconds / MINUTE_S) });
-  if (seconds < DAY_S) return t("{n} h ago", { n: Math.floor(seconds / HOUR_S) });
-  return day.format(at);
+  const s = Math.max(Math.round((now - at.getTime()) / 1000), 0);
+  if (s < MINUTE_S) return since.format((s % 5) - s, "second");
+  if (s < HOUR_S) return since.format(-Math.floor(s / MINUTE_S), "minute");
+  return s < DAY_S ? since.format(-Math.floor(s / HOUR_S), "hour") : day.format(at);
 }
 
 /** Words for every time element below a root. @param {ParentNode} root */

@@ -10,5 +10,5 @@ export function t(words, values = {}) {
   return (found[words] ?? words).replace(/\{(\w+)\}/g, (_, name) => String(values[name] ?? ""));
 }
 
-const imperial = document.documentElement.dataset.units === "imperial";
-export const SPEED = imperial ? { unit: "mph", perMps: 3600 / 1609.344 } : { unit: "km/h", perMps: 3.6 };
+export const UNITS = document.documentElement.dataset.units === "imperial" ? "imperial" : "metric";
+export const SPEED = UNITS === "imperial" ? { unit: "mph", perMps: 3600 / 1609.344 } : { unit: "km/h", perMps: 3.6 };

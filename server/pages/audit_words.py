@@ -1,0 +1,46 @@
+"""What the entries of the audit log say, in words; a look's subject is a route and stays one."""
+
+from __future__ import annotations
+
+from server.wording import marked
+
+DEEDS = {
+    "location.read": marked("Saw locations"),
+    "raw.read": marked("Read raw data"),
+    "sign_in": marked("Signed in"),
+    "sign_in.failed": marked("Sign-in refused"),
+    "password.changed": marked("Password changed"),
+    "totp.on": marked("Authenticator set up"),
+    "totp.off": marked("Authenticator taken off"),
+    "user.added": marked("Person added"),
+    "user.changed": marked("Person changed"),
+    "user.code": marked("Sign-in code made for a person"),
+    "key.added": marked("API key made"),
+    "key.revoked": marked("API key revoked"),
+    "organisation.added": marked("Organisation added"),
+    "box.added": marked("Box registered"),
+    "box.claim-code": marked("Claim code made"),
+    "box.revoked": marked("Box revoked"),
+    "box.settings": marked("Box settings changed"),
+    "box.token": marked("Token of a box rotated"),
+    "box.vehicle": marked("Box put into a vehicle"),
+    "claim.registered": marked("Claim of a crash registered"),
+    "installed": marked("Box installed"),
+    "rule.added": marked("Alert rule added"),
+    "rule.changed": marked("Alert rule changed"),
+    "rule.removed": marked("Alert rule removed"),
+    "channel.added": marked("Channel added"),
+    "channel.changed": marked("Channel changed"),
+    "channel.removed": marked("Channel removed"),
+    "channel.secret": marked("New secret of a channel"),
+    "channel.tested": marked("Channel tested"),
+    "jobs.replay": marked("Failed work tried again"),
+    "rerun.begin": marked("Re-run begun"),
+    "rerun.cancel": marked("Re-run cancelled"),
+    "hold.placed": marked("Legal hold placed"),
+    "hold.ended": marked("Legal hold ended"),
+    "privacy.export": marked("Personal data exported"),
+    "retention.set": marked("Retention changed"),
+    "erasure.ordered": marked("Erasure ordered"),
+    "erasure.finished": marked("Erasure finished"),
+}

@@ -1,0 +1,50 @@
+"""What the lists of the pages have in common: the address says filters, order and page."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Any, ClassVar
+from urllib.parse import urlencode
+
+from sqlalchemy import ColumnElement, func, or_
+from sqlalchemy.orm import InstrumentedAttribute
+
+from server.models import Device, Vehicle
+
+PAGE = 50
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What a reader asked of a list; a list adds its filters, and says by its defaults what is usual."""
+
+    q: str = ""
+    sort: str = ""
+    down: bool = False
+    page: int = 1
+
+    FALLING: ClassVar[frozenset[str]] = frozenset()
+    """Columns whose largest come first when their head is pressed."""
+
+    def query(self, **changes: Any) -> str:
+        """Query of the address with some fields changed, without what is usual; another page only when asked for."""
+        values = {field.name: getattr(self, field.name) for field in fields(self)} | {"page": 1} | changes
+        usual = type(self)()
+        told = {name: value for name, value in values.items() if value != getattr(usual, name)}
+        return urlencode({name: int(value) if isinstance(value, bool) else value for name, value in told.items()})
+
+    def toggled(self, sort: str) -> str:
+        """Query after a press on a column's head: figures begin with the largest, names with the first."""
+        return self.query(sort=sort, down=not self.down if sort == self.sort else sort in self.FALLING)
+
+
+def rows_before(page: int, found: int) -> int:
+    """Rows that stand before a page; the last page where it lies beyond."""
+    return (min(page, max(1, -(-found // PAGE))) - 1) * PAGE
+
+
+def named(q: str, *more: InstrumentedAttribute[Any]) -> list[ColumnElement[bool]]:
+    """Conditions: each word stands in the name or plate of the vehicle, in the box's name, or in one of `more`."""
+    # A plate is found with and without its blanks.
+    columns = (Device.name, Vehicle.name, Vehicle.plate, func.replace(Vehicle.plate, " ", ""), *more)
+    return [or_(*(column.icontains(word, autoescape=True) for column in columns)) for word in q.split()]
