@@ -1,5 +1,5 @@
 # One image for every role: api, worker, viewer, migrate.
-FROM python:3.12-slim AS build
+FROM python:3.11-slim AS build
 WORKDIR /src
 RUN python -m venv /opt/scatola
 ENV PATH=/opt/scatola/bin:$PATH
@@ -8,7 +8,7 @@ RUN pip install --no-cache-dir --require-hashes --no-deps -r requirements/server
 COPY . .
 RUN pip install --no-cache-dir --no-deps --no-build-isolation . && scatola warm-up
 
-FROM python:3.12-slim
+FROM python:3.11-slim
 RUN useradd --system --uid 10001 --home-dir /nonexistent scatola
 COPY --from=build /opt/scatola /opt/scatola
 COPY deploy/entrypoint.sh /usr/local/bin/entrypoint.sh

@@ -12,7 +12,7 @@ from fastapi import FastAPI
 from starlette.concurrency import run_in_threadpool
 from starlette.staticfiles import StaticFiles
 
-from server import health, problems
+from server import description, health, problems
 from server.accounts import routes as accounts
 from server.accounts import user_routes as users
 from server.accounts.audit import RecentLooks
@@ -127,6 +127,7 @@ def create_app(settings: Settings, *, clock: Clock = utc_now) -> FastAPI:
     telemetry.watch(lambda: health.backlog_figures(app))
 
     problems.install(app)
+    description.install(app)
     templating.install(app)
     for part in (
         ingest,  # first: routes are tried in this order, and no other is asked for as often

@@ -22,6 +22,7 @@ from server.jobs.supervise import Child, Supervisor, scatola
 from server.live.hub import LiveHub
 from server.logs import configure_logging
 from server.migrations import serves, upgrade
+from server.patience import PatientProtocol
 from server.settings import Settings
 from server.tracing import configure_tracing
 
@@ -75,6 +76,7 @@ def serve(
 
         config = uvicorn.Config(
             app,
+            http=PatientProtocol,
             log_config=None,
             access_log=False,  # our own log names routes, not paths: those may carry tickets and codes
             ws="websockets-sansio",

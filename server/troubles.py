@@ -10,6 +10,7 @@ from sqlalchemy.exc import DBAPIError
 from sqlalchemy.exc import TimeoutError as NoConnectionError
 
 from server.errors import FullError, ProblemError, UnavailableError
+from server.store.objects import StoreUnavailableError
 
 RETRY_AFTER_S = 10
 _FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
@@ -22,6 +23,8 @@ def trouble_of(error: BaseException) -> ProblemError | None:
     """The problem to answer with; None for what is a mistake of ours."""
     if isinstance(error, NoConnectionError):
         return _unavailable("every connection to the database is in use")
+    if isinstance(error, StoreUnavailableError):
+        return _unavailable("the object store does not answer")
     cause = error.orig if isinstance(error, DBAPIError) else error
     if _is_full(cause):
         return FullError("There is no room left to store anything; nothing was kept", retry_after_s=RETRY_AFTER_S)

@@ -190,9 +190,18 @@ def serve() -> Generator[Serve]:
 def _served(app: FastAPI) -> Generator[str]:
     import uvicorn
 
+    from server.patience import PatientProtocol
+
     server = uvicorn.Server(
         uvicorn.Config(
-            app, host="127.0.0.1", port=0, log_config=None, access_log=False, lifespan="on", timeout_graceful_shutdown=1
+            app,
+            host="127.0.0.1",
+            port=0,
+            http=PatientProtocol,
+            log_config=None,
+            access_log=False,
+            lifespan="on",
+            timeout_graceful_shutdown=1,
         )
     )
     thread = threading.Thread(target=server.run, daemon=True)

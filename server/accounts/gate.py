@@ -32,7 +32,7 @@ from server.view3d import permission
 
 _OPEN = frozenset({"/healthz", "/readyz", "/metrics", "/openapi.json", "/docs"})
 _SIGN_IN = ("/login", "/api/v1/auth")
-_DEVICE_PATHS = frozenset({"/api/v1/batches", "/api/v1/device", "/api/v1/device/token", "/api/v1/device/diagnosis"})
+DEVICE_PATHS = frozenset({"/api/v1/batches", "/api/v1/device", "/api/v1/device/token", "/api/v1/device/diagnosis"})
 _CLAIM = ("/api/v1/claim",)
 _VIEW = re.compile(r"/view3d/(?P<ticket>[A-Za-z0-9_-]{16,})/(?P<device>[0-9a-f]{32})(?:/.*)?")
 _SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
@@ -142,7 +142,7 @@ async def _admit(connection: HTTPConnection, caller: Caller | None, receive: Rec
         raise UnauthenticatedError("Send a bearer token, or sign in")
     if caller.kind == "ticket" and _VIEW.fullmatch(path) is None:
         raise ForbiddenError("A view's ticket opens that view only")
-    if (caller.kind == "device") != (path in _DEVICE_PATHS):
+    if (caller.kind == "device") != (path in DEVICE_PATHS):
         raise ForbiddenError("Only a device token may upload, and it may do nothing else")
     if caller.kind == "session":
         return await _check_browser(connection, caller, receive)

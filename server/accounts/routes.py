@@ -17,6 +17,7 @@ from server.database import Database
 from server.edge import DatabaseOf, Now, SettingsOf
 from server.errors import TooManyRequestsError, UnauthenticatedError
 from server.limits import TokenBuckets
+from server.problems import described
 from server.settings import Settings
 from server.wording import marked
 
@@ -120,7 +121,7 @@ def _close(caller: Caller, database: Database) -> None:
             service.close_session(session, caller.session_id)
 
 
-@router.post("/api/v1/auth/session", status_code=201)
+@router.post("/api/v1/auth/session", status_code=201, responses=described(429))
 def open_session(
     body: SignIn, request: Request, response: Response, settings: SettingsOf, database: DatabaseOf, now: Now
 ) -> OpenedSessionOut:

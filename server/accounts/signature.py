@@ -17,7 +17,16 @@ from server.errors import UnauthenticatedError
 
 SCHEME = "scatola-hmac-sha256"
 WINDOW_S = 300.0
-SIGNED_HEADERS = ("idempotency-key", "scatola-stream", "content-type", "content-encoding")
+SIGNED_HEADERS = (
+    "idempotency-key",
+    "scatola-stream",
+    "scatola-sent-at",
+    "scatola-configuration",
+    "scatola-answers",
+    "content-type",
+    "content-encoding",
+)
+"""All that says something of an upload: `scatola-sent-at` alone can date a batch."""
 _FORM = re.compile(
     r"device=(?P<device>[0-9a-f]{32}),\s*time=(?P<time>\d{1,12}),\s*"
     r"body=(?P<body>[0-9a-f]{64}),\s*signature=(?P<signature>[0-9a-f]{64})"

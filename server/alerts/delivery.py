@@ -17,12 +17,14 @@ import structlog
 from sqlalchemy import Select, func, select
 from sqlalchemy.orm import Session
 
+from server.accounts.preferences import LANGUAGES, Language, Preferences
 from server.alerts import mail, webhook, words
 from server.alerts.raising import EMERGENCY, ORDINARY
 from server.alerts.webhook import Answer, Guard
 from server.database import Database
+from server.language import catalogue
 from server.live.changes import announce
-from server.models import Alert, AlertChannel, AlertDelivery, AlertRule, DeliveryAttempt, Device, Vehicle, new_id
+from server.models import Alert, AlertChannel, AlertDelivery, AlertRule, DeliveryAttempt, Device, User, Vehicle, new_id
 from server.settings import Settings
 
 LEASE = dt.timedelta(seconds=60)
@@ -86,8 +88,9 @@ def _take(database: Database, settings: Settings, now: dt.datetime, priorities: 
         row.attempts += 1
         subject = _subject(session, session.get_one(Alert, row.alert_id))
         channel = session.get(AlertChannel, row.channel_id)
+        languages = languages_of(session, channel)
         if row.body is None:
-            row.body = _body(subject, row, channel, settings.public_url)
+            row.body = _body(subject, row, channel, settings.public_url, languages)
         tried = select(func.count()).select_from(DeliveryAttempt).where(DeliveryAttempt.delivery_id == row.id)
         attempt = DeliveryAttempt(
             id=new_id(),
@@ -97,8 +100,7 @@ def _take(database: Database, settings: Settings, now: dt.datetime, priorities: 
             began_at=now,
         )
         session.add(attempt)
-        over = words.RECOVERED.get(subject.alert.kind, "Over") if row.reason == "recovered" else None
-        title = words.headline(subject) if over is None else f"{over}: {subject.name}"
+        title = " / ".join(words.title(subject, row.reason, _say(language)) for language in languages)
         urgent = row.priority == EMERGENCY
         return Taken(row.id, row.attempts, attempt.id, urgent, row.body, title, channel)
 
@@ -112,10 +114,34 @@ def _subject(session: Session, alert: Alert) -> words.Subject:
     )
 
 
-def _body(subject: words.Subject, row: AlertDelivery, channel: AlertChannel | None, public_url: str | None) -> bytes:
-    if channel is not None and channel.kind == "email":
-        return words.mail_text(subject, row, public_url).encode()
-    return words.document(subject, row, public_url)
+def languages_of(session: Session, channel: AlertChannel | None) -> list[Language]:
+    """What those read who get a mail; who has no account here, or chose nothing, reads English."""
+    if channel is None or channel.kind != "email":
+        return ["en"]
+    addresses = {str(address).lower() for address in channel.recipients}
+    accounts = select(User.email, User.preferences).where(
+        User.organisation_id == channel.organisation_id, User.email.in_(addresses)
+    )
+    chosen = {email: Preferences.from_json(kept).language for email, kept in session.execute(accounts)}
+    read = {chosen.get(address) or "en" for address in addresses}
+    return [language for language in LANGUAGES if language in read]
+
+
+def _say(language: Language) -> words.Say:
+    return words.english if language == "en" else catalogue(language).gettext
+
+
+def _body(
+    subject: words.Subject,
+    row: AlertDelivery,
+    channel: AlertChannel | None,
+    public_url: str | None,
+    languages: Sequence[Language],
+) -> bytes:
+    if channel is None or channel.kind != "email":
+        return words.document(subject, row, public_url)
+    # One mail to all of them: whoever shares it finds his own language below the other.
+    return "\n".join(words.mail_text(subject, row, public_url, _say(language)) for language in languages).encode()
 
 
 def _send(settings: Settings, taken: Taken, now: dt.datetime) -> Answer:
@@ -141,11 +167,15 @@ def _send(settings: Settings, taken: Taken, now: dt.datetime) -> Answer:
         return Answer(delivered=False, status=None, detail=type(error).__name__)
 
 
-def send_test(settings: Settings, channel: AlertChannel, *, now: dt.datetime) -> Answer:
+def send_test(
+    settings: Settings, channel: AlertChannel, *, now: dt.datetime, languages: Sequence[Language] = ("en",)
+) -> Answer:
     """Try a channel once, with a message that says so; it is owed to nobody and is not tried again."""
     delivery_id = new_id()
-    body = words.TEST_TEXT.encode() if channel.kind == "email" else words.tried_document(delivery_id)
-    return _send(settings, Taken(delivery_id, 1, "", False, body, words.TEST_SUBJECT, channel), now)
+    title = " / ".join(_say(language)(words.TEST_SUBJECT) for language in languages)
+    text = "\n".join(_say(language)(words.TEST_TEXT) + "\n" for language in languages)
+    body = text.encode() if channel.kind == "email" else words.tried_document(delivery_id)
+    return _send(settings, Taken(delivery_id, 1, "", False, body, title, channel), now)
 
 
 def _post(settings: Settings, channel: AlertChannel, taken: Taken, now: dt.datetime) -> Answer:

@@ -113,15 +113,23 @@ def watch_of(session: Session, vehicle_id: str | None) -> TheftWatch | None:
 
 
 def deliveries(
-    session: Session, organisation_id: str, *, state: str | None, alert_id: str | None, limit: int
+    session: Session,
+    organisation_id: str,
+    *,
+    state: str | None,
+    alert_id: str | None,
+    before: tuple[dt.datetime, str] | None = None,
+    limit: int,
 ) -> Sequence[AlertDelivery]:
-    """Deliveries, the newest first."""
+    """Deliveries, the newest first, from after `before` in that order."""
     query = select(AlertDelivery).where(AlertDelivery.organisation_id == organisation_id)
     if state is not None:
         query = query.where(AlertDelivery.state == state)
     if alert_id is not None:
         query = query.where(AlertDelivery.alert_id == alert_id)
-    return session.scalars(query.order_by(AlertDelivery.created_at.desc(), AlertDelivery.id).limit(limit)).all()
+    if before is not None:
+        query = query.where(tuple_(AlertDelivery.created_at, AlertDelivery.id) < before)
+    return session.scalars(query.order_by(AlertDelivery.created_at.desc(), AlertDelivery.id.desc()).limit(limit)).all()
 
 
 def deliveries_in(session: Session, state: str) -> int:

@@ -10,6 +10,7 @@ from sqlalchemy.orm import Session
 from starlette.responses import Response
 
 from server.accounts.access import Administrator, Caller, Reader, look_at_places, note
+from server.accounts.places import Sight, seen, sight_of
 from server.alerts import delivery, queries, service
 from server.alerts.schemas import (
     AlertOut,
@@ -39,7 +40,8 @@ from server.settings import Settings
 router = APIRouter(prefix="/api/v1", tags=["alerts"])
 
 Id = Annotated[str, Path(max_length=32)]
-_PLACES = ("position",)
+_SURENESS = {"radius95_m"}
+_MSD_PLACES = ("vehicleLocation", "recentVehicleLocationN1", "recentVehicleLocationN2")
 
 
 @router.get("/alerts")
@@ -68,9 +70,8 @@ def list_alerts(
             limit=limit + 1,
         )
     last = rows[limit - 1] if len(rows) > limit else None
-    located = caller.may("location.read")
     return AlertPage(
-        items=[alert_out(row, located=located) for row in rows[:limit]],
+        items=[alert_out(row, sight_of(caller)) for row in rows[:limit]],
         next=None if last is None else f"{last.created_at.isoformat()}~{last.id}",
     )
 
@@ -81,7 +82,7 @@ def read_alert(request: Request, alert_id: Id, caller: Reader, database: Databas
     look_at_places(request, caller)
     with database.reading() as session:
         row = queries.alert_of(session, caller.organisation_id, alert_id)
-        return alert_out(row, located=caller.may("location.read"))
+        return alert_out(row, sight_of(caller))
 
 
 @router.post("/alerts/{alert_id}/acknowledge")
@@ -90,7 +91,7 @@ def acknowledge(request: Request, alert_id: Id, caller: Administrator, database:
     look_at_places(request, caller)
     with database.transaction() as session:
         row = service.acknowledge(session, caller.organisation_id, alert_id, actor=caller.name, now=now)
-        return alert_out(row, located=caller.may("location.read"))
+        return alert_out(row, sight_of(caller))
 
 
 @router.get("/alert-rules")
@@ -211,7 +212,8 @@ def tested(
     """Try a channel outside any transaction, and tell the audit log."""
     with database.reading() as session:
         row = queries.channel_of(session, caller.organisation_id, channel_id)
-    answer = delivery.send_test(settings, row, now=now)
+        languages = delivery.languages_of(session, row)
+    answer = delivery.send_test(settings, row, now=now, languages=languages)
     told = TestOut(delivered=answer.delivered, status=answer.status, detail=answer.detail)
     with database.transaction() as session:
         detail = {"name": row.name, "delivered": told.delivered, "status": told.status}
@@ -243,12 +245,24 @@ def list_deliveries(
     database: DatabaseOf,
     state: Annotated[Literal["waiting", "delivered", "dead"] | None, Query()] = None,
     alert: Annotated[str | None, Query(max_length=32)] = None,
+    before: Annotated[str | None, Query(max_length=100)] = None,
     limit: Annotated[int, Query(ge=1, le=500)] = 100,
 ) -> DeliveryPage:
-    """What was and is to be sent, the newest first."""
+    """What was and is to be sent, the newest first, a page at a time."""
     with database.reading() as session:
-        rows = queries.deliveries(session, caller.organisation_id, state=state, alert_id=alert, limit=limit)
-    return DeliveryPage(items=[DeliveryOut.model_validate(row, from_attributes=True) for row in rows])
+        rows = queries.deliveries(
+            session,
+            caller.organisation_id,
+            state=state,
+            alert_id=alert,
+            before=None if before is None else place_of(before),
+            limit=limit + 1,
+        )
+    last = rows[limit - 1] if len(rows) > limit else None
+    return DeliveryPage(
+        items=[DeliveryOut.model_validate(row, from_attributes=True) for row in rows[:limit]],
+        next=None if last is None else f"{last.created_at.isoformat()}~{last.id}",
+    )
 
 
 @router.get("/alert-deliveries/{delivery_id}")
@@ -279,12 +293,20 @@ def read_theft(vehicle_id: Id, caller: Reader, database: DatabaseOf) -> TheftOut
 
 
 @router.put("/vehicles/{vehicle_id}/theft")
-def put_theft(vehicle_id: Id, wanted: TheftIn, caller: Administrator, database: DatabaseOf, now: Now) -> TheftOut:
+def put_theft(
+    request: Request, vehicle_id: Id, wanted: TheftIn, caller: Administrator, database: DatabaseOf, now: Now
+) -> TheftOut:
     """Arm a vehicle by hand, so that any movement is an alarm; or end that, and an alarm."""
     with database.transaction() as session:
-        service.arm(session, caller.organisation_id, vehicle_id, armed=wanted.armed, actor=caller.name, now=now)
+        arm(session, request, caller, vehicle_id, armed=wanted.armed, now=now)
         session.flush()
         return queries.theft(session, caller.organisation_id, vehicle_id)
+
+
+def arm(session: Session, request: Request, caller: Caller, vehicle_id: str, *, armed: bool, now: dt.datetime) -> None:
+    """Arm or disarm, and tell the audit log."""
+    service.arm(session, caller.organisation_id, vehicle_id, armed=armed, actor=caller.name, now=now)
+    note(session, request, caller, "theft.armed" if armed else "theft.ended", f"vehicle={vehicle_id}", now=now)
 
 
 def rule_out(row: AlertRule) -> RuleOut:
@@ -294,21 +316,26 @@ def rule_out(row: AlertRule) -> RuleOut:
     return RuleOut.model_validate({**{name: getattr(row, name) for name in own}, "condition": condition})
 
 
-def alert_out(row: Alert, *, located: bool) -> AlertOut:
-    """An alert as JSON; not `located`, without places."""
+def alert_out(row: Alert, sight: Sight) -> AlertOut:
+    """An alert as JSON, its places as the caller may see them."""
     told = AlertOut.model_validate(row, from_attributes=True)
-    if not located:
-        told.facts = without_places(told.facts)
+    if sight != "exact":
+        told.facts = _with_places(told.facts, sight)
     return told
 
 
-def without_places(facts: dict[str, Any]) -> dict[str, Any]:
-    """Facts for whoever may not see where vehicles are."""
-    told = {name: None if name in _PLACES else value for name, value in facts.items()}
+def _with_places(facts: dict[str, Any], sight: Sight) -> dict[str, Any]:
+    """Facts for whoever may not see exactly where vehicles are: a cell's middle, and no message for rescuers."""
+    told = dict(facts)
+    position: dict[str, Any] | None = facts.get("position")
+    if position is not None:
+        place = seen(position["lat_deg"], position["lon_deg"], sight)
+        cell = {"lat_deg": place.lat_deg, "lon_deg": place.lon_deg} if place is not None else None
+        # How sure the exact place was would be a lie about the cell's.
+        told["position"] = None if cell is None else {**position, **cell, **dict.fromkeys(_SURENESS & position.keys())}
     msd: dict[str, Any] | None = told.get("msd")
     if msd is not None:
-        hidden = ("vehicleLocation", "recentVehicleLocationN1", "recentVehicleLocationN2")
-        told["msd"] = {name: None if name in hidden else value for name, value in msd.items()}
+        told["msd"] = {name: None if name in _MSD_PLACES else value for name, value in msd.items()}
     return told
 
 

@@ -185,7 +185,7 @@ class AlertOut(BaseModel):
     event_id: str | None
     at: dt.datetime
     created_at: dt.datetime
-    facts: dict[str, Any] = Field(description="without location.read, places are null")
+    facts: dict[str, Any] = Field(description="without location.read, places are coarse or null")
     repeats: int
     repeated_at: dt.datetime | None
     recovered_at: dt.datetime | None
@@ -227,6 +227,7 @@ class DeliveryDetail(DeliveryOut):
 
 class DeliveryPage(BaseModel):
     items: list[DeliveryOut]
+    next: str | None = Field(description="value of `before` for the next page")
 
 
 class TestOut(BaseModel):

@@ -1,4 +1,4 @@
-"""An alert in words: subject, sentences, and the JSON of a webhook; one catalogue, so a language can be added."""
+"""An alert in words: subject, sentences, and the JSON of a webhook; other languages come from the catalogues."""
 
 from __future__ import annotations
 
@@ -25,12 +25,13 @@ KINDS = {
     "theft": marked("Theft alarm"),
 }
 RECOVERED = {
-    "emergency": "Withdrawn: later data show no such crash",
-    "crash": "Withdrawn: later data show no such event",
-    "silent": "The box reports again",
-    "calibration": "The mounting is ready",
-    "theft": "The alarm was ended",
+    "emergency": marked("Withdrawn: later data show no such crash"),
+    "crash": marked("Withdrawn: later data show no such event"),
+    "silent": marked("The box reports again"),
+    "calibration": marked("The mounting is ready"),
+    "theft": marked("The alarm was ended"),
 }
+OVER = marked("It is over")
 _BLOWS = {
     "crash": marked("Crash"),
     "rollover": marked("Rollover"),
@@ -42,6 +43,13 @@ _THEFTS = {
 }
 Part = tuple[str, dict[str, str]]
 """A text of the catalogues, and the values for its places."""
+Say = Callable[[str], str]
+"""From a text of the catalogues to the same in a language."""
+
+
+def english(text: str) -> str:
+    """The text itself."""
+    return text
 
 
 @dataclass(frozen=True)
@@ -61,14 +69,21 @@ class Subject:
         return f"{self.vehicle.name} ({self.vehicle.plate})" if self.vehicle.plate else self.vehicle.name
 
 
-def headline(subject: Subject) -> str:
+def headline(subject: Subject, say: Say = english) -> str:
     """What and which vehicle."""
-    return f"{KINDS[subject.alert.kind]}: {subject.name}"
+    return f"{say(KINDS[subject.alert.kind])}: {subject.name}"
 
 
-def sentence(alert: Alert) -> str:
+def title(subject: Subject, reason: str, say: Say) -> str:
+    """Subject of a mail."""
+    if reason != "recovered":
+        return headline(subject, say)
+    return f"{say(RECOVERED.get(subject.alert.kind, OVER))}: {subject.name}"
+
+
+def sentence(alert: Alert, say: Say = english) -> str:
     """What happened, in one line, without a place."""
-    return ", ".join(pattern % values for pattern, values in parts(alert))
+    return ", ".join(say(pattern) % values for pattern, values in parts(alert))
 
 
 def parts(alert: Alert) -> list[Part]:
@@ -126,48 +141,59 @@ _PARTS: dict[str, Callable[[Mapping[str, Any]], list[Part]]] = {
 }
 
 
-def mail_text(subject: Subject, delivery: AlertDelivery, public_url: str | None) -> str:
-    """The body of an e-mail."""
+def mail_text(subject: Subject, delivery: AlertDelivery, public_url: str | None, say: Say = english) -> str:
+    """The body of an e-mail, in one language."""
     alert = subject.alert
-    lines = [RECOVERED.get(alert.kind, "Over"), ""] if delivery.reason == "recovered" else []
-    lines += [headline(subject), sentence(alert), "", f"When: {_moment(alert.at)}", f"Box: {subject.device.name}"]
+    told: list[Part] = [
+        (marked("When: %(at)s UTC"), {"at": alert.at.astimezone(dt.UTC).strftime("%Y-%m-%d %H:%M:%S")}),
+        (marked("Box: %(name)s"), {"name": subject.device.name}),
+    ]
     place = alert.facts.get("position")
     if place is not None:
-        lines.append(f"Where: {place['lat_deg']:.6f}, {place['lon_deg']:.6f}")
+        values = {"lat": f"{place['lat_deg']:.6f}", "lon": f"{place['lon_deg']:.6f}"}
+        told.append((marked("Where: %(lat)s, %(lon)s"), values))
     if alert.kind == "emergency":
-        lines += _emergency_lines(alert.facts)
+        told += _emergency_lines(alert.facts)
     if subject.rule is not None:
-        lines.append(f"Rule: {subject.rule.name}")
+        told.append((marked("Rule: %(name)s"), {"name": subject.rule.name}))
+    lines = [say(RECOVERED.get(alert.kind, OVER)), ""] if delivery.reason == "recovered" else []
+    lines += [headline(subject, say), sentence(alert, say), "", *(say(pattern) % values for pattern, values in told)]
     if public_url is not None:
         path = f"/events/{alert.event_id}" if alert.event_id else f"/alerts#alert-{alert.id}"
         lines += ["", public_url.rstrip("/") + path]
     return "\n".join(" ".join(line.split()) for line in lines) + "\n"
 
 
-def _emergency_lines(facts: Mapping[str, Any]) -> list[str]:
+def _emergency_lines(facts: Mapping[str, Any]) -> list[Part]:
     place, severity = facts["position"], facts["severity"]
-    course = facts["course_deg"]
-    lines = ["Where: not known"] if place is None else [f"Position: {_trust(place)}"]
-    lines.append("Direction of travel: " + ("not known" if course is None else f"{course:.0f}° clockwise from north"))
-    interval = severity["delta_v_interval95_kmh"]
+    course, interval, speed = facts["course_deg"], severity["delta_v_interval95_kmh"], severity["impact_speed_kmh"]
+    lines: list[Part] = [(marked("Where: not known"), {}) if place is None else _trust(place)]
+    if course is None:
+        lines.append((marked("Direction of travel: not known"), {}))
+    else:
+        lines.append((marked("Direction of travel: %(course)s° clockwise from north"), {"course": f"{course:.0f}"}))
     if interval is not None:
-        lines.append(f"Delta-V, 95 % interval: {interval[0]:.0f} to {interval[1]:.0f} km/h")
-    if severity["impact_speed_kmh"] is not None:
-        lines.append(f"Speed before impact: {severity['impact_speed_kmh']:.0f} km/h")
+        values = {"low": f"{interval[0]:.0f}", "high": f"{interval[1]:.0f}"}
+        lines.append((marked("Delta-V, 95 %% interval: %(low)s to %(high)s km/h"), values))
+    if speed is not None:
+        lines.append((marked("Speed before impact: %(speed)s km/h"), {"speed": f"{speed:.0f}"}))
     if severity["rollover"]:
-        lines.append("The vehicle turned over")
-    lines.append("Occupants: not known")
+        lines.append((marked("The vehicle turned over"), {}))
+    lines.append((marked("Occupants: not known"), {}))
     if facts["delay_s"] > 60.0:
-        lines.append(f"This became known {facts['delay_s'] / 60.0:.0f} min after the crash")
-    lines.append("Not known: " + ", ".join(facts["not_known"]))
+        values = {"minutes": f"{facts['delay_s'] / 60.0:.0f}"}
+        lines.append((marked("This became known %(minutes)s min after the crash"), values))
+    lines.append((marked("Not known: %(names)s"), {"names": ", ".join(facts["not_known"])}))
     return lines
 
 
-def _trust(place: Mapping[str, Any]) -> str:
-    if place["source"] == "trajectory":
-        radius = place["radius95_m"]
-        return "at the time of the crash" + ("" if radius is None else f", within {radius:.0f} m (95 %)")
-    return f"of a fix {place['age_s']:.0f} s away from the crash"
+def _trust(place: Mapping[str, Any]) -> Part:
+    if place["source"] != "trajectory":
+        return marked("Position: of a fix %(age)s s away from the crash"), {"age": f"{place['age_s']:.0f}"}
+    radius = place["radius95_m"]
+    if radius is None:
+        return marked("Position: at the time of the crash"), {}
+    return marked("Position: at the time of the crash, within %(radius)s m (95 %%)"), {"radius": f"{radius:.0f}"}
 
 
 def document(subject: Subject, delivery: AlertDelivery, public_url: str | None) -> bytes:
@@ -204,9 +230,5 @@ def tried_document(delivery_id: str) -> bytes:
     return orjson.dumps({"schema": SCHEMA, "delivery_id": delivery_id, "reason": "test", "alert": None, "url": None})
 
 
-TEST_SUBJECT = "Scatola: test message"
-TEST_TEXT = "Somebody tried this channel. Alerts of your fleet will come here; there is nothing to do.\n"
-
-
-def _moment(at: dt.datetime) -> str:
-    return at.astimezone(dt.UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
+TEST_SUBJECT = marked("Scatola: test message")
+TEST_TEXT = marked("Somebody tried this channel. Alerts of your fleet will come here; there is nothing to do.")

@@ -56,6 +56,7 @@ def batches(session: Session, analysis: Analysis) -> Sequence[Batch]:
     return session.scalars(
         select(Batch)
         .where(Batch.device_id == analysis.device_id, Batch.boot == analysis.boot, Batch.failure.is_(None))
+        .where(Batch.erasing_at.is_(None))
         .where(Batch.t_last_s >= analysis.t_first_s, Batch.t_first_s <= analysis.t_last_s)
         .order_by(Batch.t_first_s, Batch.id)
     ).all()

@@ -38,7 +38,8 @@ from sqlalchemy import (
 Row = dict[str, Any]
 
 VERSION_TABLE = "alembic_version"
-BLOB_COLUMNS = ("blob_key", "body_key")
+BLOB_COLUMNS = ("blob_key", "body_key", "input_key", "result_key")
+"""Of batches, and of the workbench's analyses."""
 _AT_ONCE = 1000
 _MODULUS = 1 << 256
 

@@ -19,9 +19,9 @@ from sqlalchemy import select, tuple_
 
 from server.database import Database
 from server.errors import ProblemError
-from server.formats.columns import NAMES, Columns
+from server.formats.columns import NAMES
 from server.models import Batch, Boot, Device, Event, TrackPoint, Trip
-from server.store import BlobStore
+from server.store import BlobStore, raw_columns
 
 Kind = Literal["tracks", "events", "samples"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
@@ -218,7 +218,7 @@ def _samples(database: Database, store: BlobStore, wanted: Wanted, notes: dict[s
 def _batch(store: BlobStore, batch: Batch, boot: Boot | None) -> Table | None:
     """A batch's rows; None when its raw data are gone or damaged."""
     try:
-        columns = Columns.from_parquet(store.get(batch.blob_key))
+        columns = raw_columns(store, batch)
     except (KeyError, ProblemError):
         return None
     rows = columns.rows

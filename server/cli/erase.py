@@ -11,8 +11,10 @@ from sqlalchemy.orm import Session
 
 from server.accounts.caller import Caller
 from server.database import Database
+from server.evidence.seal import signing_key
 from server.models import User, Vehicle
 from server.privacy import erasure
+from server.privacy.certificate import certificate
 from server.settings import Settings
 from server.store import open_store
 
@@ -37,7 +39,11 @@ def erase(args: argparse.Namespace) -> int:
         finished = erasure.run(database, open_store(settings), row.id, now=now)
         with database.reading() as session:
             row = erasure.erasure_of(session, row.organisation_id, row.id)
-            told = erasure.certificate(session, row) if finished else _under_way(row.id, row.erased, row.kept)
+            told = (
+                certificate(session, row, signing_key(settings))
+                if finished
+                else _under_way(row.id, row.erased, row.kept)
+            )
         _print(told, as_json=args.json)
     finally:
         database.dispose()

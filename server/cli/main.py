@@ -13,6 +13,7 @@ import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any, cast
 
 ROUTES = ("urban", "highway", "straight", "gentle", "roundabout", "static")
 METHODS = ("whole-drive", "online", "mekf", "two-phase")
@@ -37,10 +38,34 @@ def main(argv: list[str] | None = None) -> int:
     except ModuleNotFoundError as error:
         print(f"scatola: {error.name} is not installed; pip install 'scatola[server]' brings it", file=sys.stderr)
         return 1
-    except (ValueError, OSError) as error:
-        # Bad data is the caller's to mend: one line, no traceback.
-        print(f"scatola: {error}", file=sys.stderr)
+    except Exception as error:
+        # Bad data, a wrong setting, a server that does not answer are the caller's to mend: one line, no traceback.
+        said = explained(error)
+        if said is None:
+            raise
+        print(f"scatola: {said}", file=sys.stderr)
         return 1
+
+
+def explained(error: Exception) -> str | None:
+    """What the caller can mend, in one line; None where it is a mistake of ours."""
+    package, kind = type(error).__module__.partition(".")[0], type(error).__name__
+    if package == "pydantic_core" and getattr(error, "title", None) == "Settings":
+        # The value itself is not repeated: it may be a secret.
+        told = [
+            f"SCATOLA_{'_'.join(map(str, each['loc'])).upper()}: {each['msg']}" if each["loc"] else str(each["msg"])
+            for each in cast("Any", error).errors()
+        ]
+        return "settings: " + "; ".join(each.removeprefix("Value error, ") for each in told)
+    if isinstance(error, ValueError | OSError):
+        return str(error)
+    if package == "sqlalchemy" and kind in _OUTSIDE:
+        return f"the database: {str(getattr(error, 'orig', error)).splitlines()[0]}"
+    return None
+
+
+_OUTSIDE = frozenset({"OperationalError", "InterfaceError", "ProgrammingError", "ArgumentError", "NoSuchModuleError"})
+"""Of SQLAlchemy: no connection, no schema, no such address; all else is a mistake of ours."""
 
 
 def numbers(*counts: int) -> Callable[[str], list[float]]:
@@ -269,6 +294,20 @@ def _add_sensor_commands(add: Add) -> None:
         command.add_argument("--plot", type=figure, metavar="IMAGE", help="write a figure: .png, .svg or .pdf")
 
 
+def _add_reprocess(add: Add) -> None:
+    reprocess = add(
+        "reprocess", "reprocess:reprocess", "Compute severe events or mountings again by this version, and compare."
+    )
+    reprocess.add_argument(
+        "--mountings", action="store_true", help="mountings of another version instead of events; again goes on"
+    )
+    reprocess.add_argument("--device", metavar="ID", help="one box alone; default: all")
+    reprocess.add_argument("--jobs", type=int, default=1, help="processes that share the work; default: %(default)s")
+    reprocess.add_argument("--resume", metavar="RUN", help="go on with a run that was stopped")
+    reprocess.add_argument("--report", metavar="RUN", help="only show a run, as far as it has come")
+    reprocess.add_argument("--json", action="store_true")
+
+
 def _add_service_commands(add: Add) -> None:
     add("serve", "processes:serve", "Serve the API and the pages; without a broker also worker and 3D viewer.")
     add("worker", "processes:worker", "Work off what is due.")
@@ -286,14 +325,7 @@ def _add_service_commands(add: Add) -> None:
     verify.add_argument("--device", metavar="ID", help="one box alone; default: all")
     verify.add_argument("--key", metavar="HEX", help="public key that must have signed the archive")
     verify.add_argument("--json", action="store_true")
-    reprocess = add(
-        "reprocess", "reprocess:reprocess", "Compute severe events again from their inputs; new numbers revise."
-    )
-    reprocess.add_argument("--device", metavar="ID", help="one box alone; default: all")
-    reprocess.add_argument("--jobs", type=int, default=1, help="processes that share the work; default: %(default)s")
-    reprocess.add_argument("--resume", metavar="RUN", help="go on with a run that was stopped")
-    reprocess.add_argument("--report", metavar="RUN", help="only show a run, as far as it has come")
-    reprocess.add_argument("--json", action="store_true")
+    _add_reprocess(add)
     erase = add("erase", "erase:erase", "Erase what is held about a vehicle or a person; prints a certificate.")
     erase.add_argument("kind", choices=("vehicle", "user"))
     erase.add_argument("id", metavar="ID")

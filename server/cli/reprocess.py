@@ -29,6 +29,10 @@ def utc_now() -> dt.datetime:
 
 def reprocess(args: argparse.Namespace) -> int:
     """Begin a run over severe events, or resume or show one, and say what this version changed."""
+    if args.mountings:
+        from server.cli.remount import remount
+
+        return remount(args)
     set_numba_cache_dir()
     from server.database import Database
     from server.jobs.rerun import begin_everywhere, report

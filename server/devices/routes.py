@@ -69,7 +69,7 @@ def read(device_id: str, caller: Reader, database: DatabaseOf) -> DeviceOut:
         return queries.device(session, caller.organisation_id, device_id)
 
 
-@router.post("/{device_id}/token")
+@router.post("/{device_id}/token", responses=described(409))
 def rotate_token(
     request: Request, device_id: str, caller: Administrator, database: DatabaseOf, now: Now
 ) -> DeviceToken:
@@ -100,11 +100,13 @@ def set_references(
 
 @router.put("/{device_id}/vehicle")
 def put_into_vehicle(
-    device_id: str, wanted: VehicleChoice, caller: Installer, database: DatabaseOf, now: Now
+    request: Request, device_id: str, wanted: VehicleChoice, caller: Installer, database: DatabaseOf, now: Now
 ) -> DeviceOut:
     """Swap a box to another vehicle, or take it out; its installation ends there."""
     with database.transaction() as session:
         service.put_into_vehicle(session, caller.organisation_id, device_id, wanted.vehicle_id, at=wanted.at, now=now)
+        detail = {"vehicle": wanted.vehicle_id}
+        note(session, request, caller, "box.vehicle", f"device={device_id}", now=now, detail=detail)
         return queries.device(session, caller.organisation_id, device_id)
 
 

@@ -19,10 +19,9 @@ import structlog
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
-from server.errors import UnavailableError
 from server.events import exports
 from server.events.queries import newest_seal
-from server.evidence.seal import public_key, signing_key, timestamp
+from server.evidence.seal import public_key, readable_key, timestamp
 from server.evidence.verify import manifest_message, seal_message
 from server.formats.columns import Columns
 from server.formats.tables import write_csv
@@ -167,11 +166,7 @@ def archive(
 def _signed(manifest: bytes, settings: Settings) -> dict[str, bytes]:
     """Who answers for the manifest, and so for every file; nothing where the operator set neither key nor authority."""
     message = manifest_message(manifest)
-    try:
-        key = signing_key(settings)
-    except OSError as error:  # never unsigned where the operator signs
-        log.exception("the signing key cannot be read")
-        raise UnavailableError("The key that signs archives cannot be read", code="signing_key") from error
+    key = readable_key(settings)
     token = None
     if settings.timestamp_url is not None:
         try:

@@ -21,6 +21,7 @@ from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
 from server.database import Database
+from server.errors import UnavailableError
 from server.evidence.verify import seal_message
 from server.models import Batch, ChainSeal, Device, Event, EventInput
 from server.settings import Settings
@@ -39,6 +40,15 @@ def signing_key(settings: Settings) -> Ed25519PrivateKey | None:
     if not isinstance(key, Ed25519PrivateKey):
         raise ValueError(f"{settings.signing_key_file} holds no Ed25519 private key")  # noqa: TRY004  a setting's value
     return key
+
+
+def readable_key(settings: Settings) -> Ed25519PrivateKey | None:
+    """The same for who is asked over HTTP: nothing leaves unsigned where the operator signs."""
+    try:
+        return signing_key(settings)
+    except OSError as error:
+        log.exception("the signing key cannot be read")
+        raise UnavailableError("The key that signs cannot be read", code="signing_key") from error
 
 
 def public_key(key: Ed25519PrivateKey) -> str:

@@ -87,6 +87,7 @@ def sources(session: Session, device_id: str) -> list[Source]:
         select(Batch.blob_key, Batch.boot, Batch.received_at, Boot.utc_offset_s, Boot.utc_drift)
         .outerjoin(Boot, (Boot.device_id == Batch.device_id) & (Boot.boot == Batch.boot))
         .where(Batch.device_id == device_id, Batch.stream == "continuous", Batch.failure.is_(None))
+        .where(Batch.erasing_at.is_(None))
         .order_by(Batch.received_at.desc(), Batch.t_last_s.desc())
         .limit(_LOOK_BACK)
     )

@@ -30,7 +30,7 @@ from server.formats.drive import read_columns
 from server.jobs.supervise import SUPERVISED, scatola
 from server.models import Analysis, Batch, Boot, Device
 from server.settings import Settings
-from server.store import BlobStore
+from server.store import BlobStore, raw_columns
 
 if TYPE_CHECKING:
     from nav_core.typing import Floats
@@ -147,7 +147,7 @@ def _input(database: Database, store: BlobStore, row: Analysis) -> tuple[Columns
 
 def _part(store: BlobStore, batch: Batch) -> Part:
     try:
-        columns = Columns.from_parquet(store.get(batch.blob_key))
+        columns = raw_columns(store, batch)
     except KeyError:
         raise ValueError("Data of the trip are no longer there") from None
     return Part(columns, batch.stream == "burst")

@@ -22,6 +22,7 @@ from nav_core.records import Gnss
 from nav_core.signal import Ticks
 from server.installations.blank import blank_result
 from server.installations.result import mount_json
+from server.installations.service import ALGORITHM
 from server.jobs import chapters as chapter
 from server.jobs.results import Results
 from server.jobs.situation import Situation
@@ -31,7 +32,6 @@ from server.models import Assignment, Installation, MountingRevision, new_id
 Estimator = Callable[[Ticks, Gnss, TripEvidence | None, Noise], Told]
 """A stretch of data, the evidence before it, and what is known of the roads."""
 
-ALGORITHM = "whole-drive/2"
 EAGER_S = 20.0
 CALM_S = 60.0
 SLOW_S = 120.0
@@ -288,11 +288,11 @@ class Mountings:
         data_at = _utc(stretch.end_unix_s)
         status = str(result["status"])
         last = self._sources.last_revision(row.id, None)
-        since = (
-            dt.timedelta.max if last is None or status != "ready" or last.status != "ready" else data_at - last.data_at
-        )
-        if abs(since.total_seconds()) < REVISION_S:
-            return
+        # What another version said stays to be compared with, however near.
+        if last is not None and last.algorithm == ALGORITHM and status == last.status == "ready":
+            since = data_at - last.data_at
+            if abs(since.total_seconds()) < REVISION_S:
+                return
         self._results.revisions.append(
             MountingRevision(
                 id=new_id(),

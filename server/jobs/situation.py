@@ -172,4 +172,4 @@ def last_revision(session: Session, installation_id: str, before: dt.datetime | 
     query = select(MountingRevision).where(MountingRevision.installation_id == installation_id)
     if before is not None:
         query = query.where(MountingRevision.data_at <= before)
-    return session.scalar(query.order_by(MountingRevision.data_at.desc()).limit(1))
+    return session.scalar(query.order_by(MountingRevision.data_at.desc(), MountingRevision.created_at.desc()).limit(1))

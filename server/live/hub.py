@@ -60,6 +60,8 @@ class LiveHub:
             if self._reader is None and not self._closed:
                 self._reader = self._loop.create_task(self._read())
         try:
+            if after is not None and after > now and after > await run_in_threadpool(self._highest):
+                after = None  # of a database that is no more: who waited for that id would hear nothing until then
             if after is not None:
                 while page := await run_in_threadpool(self._page, organisation_id, after, now):
                     for change in page:

@@ -14,7 +14,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Literal
 
-from sqlalchemy import exists, func, or_, select, text
+from sqlalchemy import func, select, text
 from sqlalchemy.exc import SQLAlchemyError
 
 from server.database import Database
@@ -23,7 +23,7 @@ from server.ingest.queries import backlog, failing
 from server.migrations import head, is_current, serves
 from server.models import Batch, Change, Device
 from server.settings import Settings, set_numba_cache_dir
-from server.store import BlobStore, open_store
+from server.store import BlobStore, has_row, open_store
 
 Status = Literal["ok", "warning", "fault"]
 
@@ -138,16 +138,9 @@ class Doctor:
         if not lost:
             yield "ok", f"the newest {len(keys)} batches have their blobs"
         old = list(islice(store.stale(self._now - dt.timedelta(days=1)), ORPHANS_LOOKED_AT))
-        orphans = sum(not self._has_row(key) for key in old)
+        orphans = sum(not has_row(self._database, key) for key in old)
         if orphans:
             yield "warning", f"{orphans} of {len(old)} blobs older than a day have no row; workers collect them hourly"
-
-    def _has_row(self, key: str) -> bool:
-        organisation_id, _, rest = key.partition("/")
-        of_device = Batch.organisation_id == organisation_id, Batch.device_id == rest.partition("/")[0]
-        with self._database.reading() as session:
-            named = exists().where(*of_device, or_(Batch.blob_key == key, Batch.body_key == key))
-            return bool(session.scalar(select(named)))
 
     def _look_at_broker(self) -> Iterator[tuple[Status, str]]:
         if self._settings.embedded:

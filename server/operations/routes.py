@@ -13,11 +13,12 @@ from server.accounts.access import Caller, JobManager, address_of
 from server.database import Database
 from server.edge import DatabaseOf, Now, Wake
 from server.errors import NotFoundError
-from server.jobs import failures, rerun
+from server.jobs import failures, remount, rerun
 from server.models import Device, JobFailure, Rerun
 from server.operations.schemas import (
     FailureList,
     ItemPage,
+    MountingReportOut,
     ReplayOut,
     ReportOut,
     RerunIn,
@@ -100,6 +101,39 @@ def list_reruns(caller: JobManager, database: DatabaseOf) -> RerunList:
     """The newest runs first."""
     with database.reading() as session:
         return RerunList(items=[rerun_out(row) for row in rerun.runs(session, caller.organisation_id)])
+
+
+@router.post("/reruns/mountings", status_code=202)
+def ask_for_mountings(
+    request: Request, wanted: RerunIn, caller: JobManager, database: DatabaseOf, now: Now
+) -> MountingReportOut:
+    """Estimate every mounting of another version anew by this one; the workers share them out.  Again goes on."""
+    with database.reading() as session:
+        if wanted.device_id is not None and session.get(Device, wanted.device_id) is None:
+            raise NotFoundError(f"There is no box {wanted.device_id!r}")
+    boxes = remount.ask(database, now=now, organisation_id=caller.organisation_id, device_id=wanted.device_id)
+    with database.transaction() as session:
+        detail = {"boxes": len(boxes)}
+        audit.record(
+            session, caller, "rerun.mountings", "mountings", now=now, address=address_of(request), detail=detail
+        )
+    for device_id in boxes:
+        cast("Wake", request.app.state.wake)(device_id)
+    return _mountings(database, caller, wanted.device_id)
+
+
+@router.get("/reruns/mountings")
+def read_mountings(
+    caller: JobManager, database: DatabaseOf, device: Annotated[str | None, Query(max_length=32)] = None
+) -> MountingReportOut:
+    """How many mountings are of another version or wait, and what this version changed of the others."""
+    return _mountings(database, caller, device)
+
+
+def _mountings(database: Database, caller: Caller, device_id: str | None) -> MountingReportOut:
+    with database.reading() as session:
+        found = remount.report(session, organisation_id=caller.organisation_id, device_id=device_id)
+    return MountingReportOut.model_validate(found, from_attributes=True)
 
 
 @router.get("/reruns/{rerun_id}")

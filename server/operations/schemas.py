@@ -96,6 +96,29 @@ class ReportOut(BaseModel):
     shifts: dict[str, ShiftOut]
 
 
+class TurnOut(BaseModel):
+    """How far mountings were turned by the other version, degrees."""
+
+    mountings: int
+    median: float
+    p95: float
+    worst: float
+    worst_installation_id: str
+
+
+class MountingReportOut(BaseModel):
+    """How the mountings stand, and what this version changed."""
+
+    algorithm: str
+    waiting: int = Field(description="of another version, asked for and not estimated yet")
+    outdated: int = Field(description="of another version, not asked for, or without data that tell anything")
+    done: int = Field(description="of this version now, of another before")
+    before_algorithms: dict[str, int]
+    statuses: dict[str, int] = Field(description="`before -> after`, of those that are done")
+    turned: TurnOut | None
+    sigma_ratio: float | None = Field(description="median of the largest sigma after over that before")
+
+
 class ItemOut(BaseModel):
     """One event of a run."""
 

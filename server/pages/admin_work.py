@@ -16,6 +16,7 @@ from server.accounts.access import JobManager, note
 from server.edge import DatabaseOf, Now
 from server.errors import NotFoundError
 from server.ingest.queries import backlog
+from server.installations.service import ALGORITHM, MANUAL_ALGORITHM
 from server.jobs import failures, rerun
 from server.models import Batch, Device, Event, EventRevision, Installation, JobFailure, Rerun, RerunItem, Vehicle
 from server.operations.routes import replay
@@ -127,7 +128,8 @@ def versions(session: Session, organisation_id: str) -> list[Version]:
         .order_by(Installation.algorithm)
     )
     found = [Version(marked("Crashes"), n, count, n == rerun.ALGORITHM) for n, count in session.execute(of_events)]
-    return found + [Version(marked("Mountings"), n, count, current=True) for n, count in session.execute(of_mountings)]
+    ours = (ALGORITHM, MANUAL_ALGORITHM)
+    return found + [Version(marked("Mountings"), n, count, n in ours) for n, count in session.execute(of_mountings)]
 
 
 @router.get("/versions")

@@ -9,6 +9,7 @@ from starlette.responses import HTMLResponse, RedirectResponse, Response
 
 from server.accounts.access import Administrator, Reader, look_at_places
 from server.alerts import queries, service, words
+from server.alerts.routes import arm
 from server.edge import DatabaseOf, Now
 from server.pages.alert_lines import dead_letters, lines
 from server.pages.queries import last_change
@@ -81,9 +82,14 @@ def replay(delivery_id: str, caller: Administrator, database: DatabaseOf, now: N
 
 @router.post("/vehicles/{vehicle_id}/theft")
 def theft(
-    vehicle_id: str, caller: Administrator, database: DatabaseOf, now: Now, armed: Annotated[bool, Form()]
+    request: Request,
+    vehicle_id: str,
+    caller: Administrator,
+    database: DatabaseOf,
+    now: Now,
+    armed: Annotated[bool, Form()],
 ) -> Response:
     """The vehicle page's theft mode."""
     with database.transaction() as session:
-        service.arm(session, caller.organisation_id, vehicle_id, armed=armed, actor=caller.name, now=now)
+        arm(session, request, caller, vehicle_id, armed=armed, now=now)
     return RedirectResponse(f"/vehicles/{vehicle_id}", 303)

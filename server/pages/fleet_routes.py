@@ -16,10 +16,10 @@ from server.accounts.preferences import View
 from server.accounts.service import keep_preferences
 from server.edge import DatabaseOf, Now, SettingsOf
 from server.formats.spreadsheet import spreadsheet_text
+from server.language import catalogue
 from server.pages import frame, queries
 from server.pages.events import search
 from server.pages.fleet import PERIODS, SHOWN, Fleet, Row, Show, Sort, Wanted, fleet, places, whole
-from server.pages.language import catalogue
 from server.pages.routes import answer, map_settings
 
 router = APIRouter(include_in_schema=False, default_response_class=HTMLResponse)

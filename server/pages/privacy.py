@@ -47,13 +47,17 @@ THINGS = {
     "claims": marked("Accident claims"),
     "diagnosis": marked("Diagnosis values"),
     "changes": marked("Live changes"),
+    "analyses": marked("Analyses"),
     "installations": marked("Installations"),
     "account": marked("Account"),
     "sessions": marked("Sessions"),
     "sign-in codes": marked("Sign-in codes"),
     "API keys": marked("API keys"),
+    "names": marked("Mentions of the name"),
+    "alert recipients": marked("Alert channels with the address"),
     "audit entries": marked("entries of the audit log"),
     "event actions": marked("reviews and holds of events"),
+    "orders of erasure": marked("orders of erasure"),
     "name and plate": marked("name and plate"),
 }
 

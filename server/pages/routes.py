@@ -20,6 +20,7 @@ from server.errors import InvalidError, NotFoundError
 from server.events import service as events
 from server.events.routes import note_hold
 from server.installations import service as installations
+from server.installations.routes import note_manual
 from server.installations.schemas import ManualMounting
 from server.pages import events as event_queries
 from server.pages import frame, queries
@@ -106,6 +107,7 @@ def set_mounting(
                 since=now,
                 now=now,
             )
+            note_manual(session, request, caller, device_id, wanted.reason, now=now)
     except (ValueError, InvalidError) as error:
         detail = error.detail if isinstance(error, InvalidError) else NOT_A_MOUNTING
         with database.reading() as session:

@@ -16,8 +16,8 @@ from starlette.responses import HTMLResponse
 
 from server.accounts.places import seen
 from server.accounts.preferences import LANGUAGES, Language
+from server.language import catalogue, script_words
 from server.pages.frame import MEASURES, language_of, preferences_of
-from server.pages.language import catalogue, script_words
 from server.resources import folder
 
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import datetime as dt
 from collections.abc import Callable, Sequence
-from importlib import metadata
 from typing import Any
 
 import structlog
@@ -20,7 +19,6 @@ from server.accounts.caller import Caller
 from server.accounts.users import erase_user, user_holdings, user_of
 from server.database import Database
 from server.errors import ConflictError, NotFoundError
-from server.events.canonical import sha256
 from server.events.holds import held, trip_held
 from server.evidence.package import instant
 from server.models import (
@@ -30,24 +28,27 @@ from server.models import (
     Batch,
     Boot,
     Change,
-    Device,
     DeviceState,
     Diagnosis,
     Erasure,
     Event,
-    EventRevision,
     Installation,
     TrackPoint,
     Trip,
+    User,
     Vehicle,
     new_id,
 )
-from server.privacy import subjects, tombstones
+from server.privacy import analyses, names, subjects, tombstones
 from server.privacy.subjects import Subject
 from server.store import BlobStore
 
-SCHEMA = "scatola-erasure-1"
 AUDIT_STAYS = "The audit log keeps who did and saw what until its own retention ends"
+WHY_OF_USER = {
+    "audit entries": AUDIT_STAYS,
+    "event actions": "Who reviewed and held an event is part of its evidence",
+    "orders of erasure": "Who ordered an erasure stands in its certificate",
+}
 
 log = structlog.stdlib.get_logger("scatola.privacy")
 
@@ -124,6 +125,7 @@ def vehicle_holdings(session: Session, subject: Subject) -> tuple[Counts, Kept]:
             _count(session, Diagnosis.value, *subjects.diagnosis(stay)) for stay in subjects.stays(session, subject)
         ),
         "changes": _count(session, Change.id, *subject.changes()),
+        "analyses": analyses.count(session, subject),
         "installations": _count(session, Installation.id, *subject.installations()) if subject.whole else 0,
     }
     kept_batches = 0
@@ -156,14 +158,16 @@ def plan(session: Session, caller: Caller, kind: str, subject_id: str, **period:
         subject = subjects.vehicle_subject(session, caller.organisation_id, subject_id, **period)
         takes, kept = vehicle_holdings(session, subject)
     else:
-        takes, entries = user_holdings(session, user_of(session, caller, subject_id))
-        kept = _of_user(entries)
+        takes, kept = _user_holdings(session, user_of(session, caller, subject_id))
     return {"would_erase": takes, "would_keep": kept}
 
 
-def _of_user(entries: Counts) -> Kept:
-    whys = {"audit entries": AUDIT_STAYS, "event actions": "Who reviewed and held an event is part of its evidence"}
-    return [{"what": what, "id": None, "count": n, "why": whys[what]} for what, n in entries.items() if n]
+def _user_holdings(session: Session, user: User) -> tuple[Counts, Kept]:
+    """What erasing a person would take, and what it would leave and why."""
+    takes, stays = user_holdings(session, user)
+    takes |= names.mentions(session, user.organisation_id, user.email)
+    stays["orders of erasure"] = names.orders(session, user.organisation_id, user.email)
+    return takes, [{"what": what, "id": None, "count": n, "why": WHY_OF_USER[what]} for what, n in stays.items() if n]
 
 
 def _count(session: Session, column: Any, *wanted: ColumnElement[bool]) -> int:  # any mapped column
@@ -224,10 +228,12 @@ def run(
         boxes = list(session.scalars(select(Batch.device_id).where(Batch.erasure_id == row.id).distinct()))
     for device_id in boxes:
         tombstones.finish_batches(database, store, now=now, device_id=device_id, stopped=stopped)
+    analyses.finish(database, store, subject, now=now, stopped=stopped)
     with database.transaction() as session:
         order_row = session.get_one(Erasure, erasure_id, with_for_update=True)
         order_row.kept = vehicle_holdings(session, subject)[1]
-        if _count(session, Batch.id, Batch.erasure_id == erasure_id, Batch.erased_at.is_(None)):
+        waiting = _count(session, Batch.id, Batch.erasure_id == erasure_id, Batch.erased_at.is_(None))
+        if waiting or analyses.count(session, subject):
             return False
         _finish(session, order_row, now)
     return True
@@ -247,13 +253,15 @@ def _run_user(database: Database, row: Erasure, now: dt.datetime) -> bool:
         order_row = session.get_one(Erasure, row.id, with_for_update=True)
         caller = Caller(row.organisation_id, "job", name="erasure")
         user = user_of(session, caller, row.subject_id, lock=True)
-        takes, entries = user_holdings(session, user)
+        takes, kept = _user_holdings(session, user)
+        email = user.email
         try:
             erase_user(session, user, now=now)
         except ConflictError as error:  # the last administrator: it says so and is not tried for ever
             order_row.kept = [{"what": "account", "id": user.id, "count": 1, "why": error.detail}]
         else:
-            order_row.erased, order_row.kept = dict(takes), _of_user(entries)
+            names.forget(session, row.organisation_id, email, instead=user.email)
+            order_row.erased, order_row.kept = dict(takes), kept
         _finish(session, order_row, now)
     return True
 
@@ -297,6 +305,7 @@ def _erase_vehicle(
         )
     for box in sorted(of_trips):
         drain(lambda s, box=box: trips_of(s, box))
+    drain(lambda s: {"analyses": analyses.close(s, subject)})
     drain(lambda s: _erase_small(s, subject, stays))
     with database.transaction() as session:
         _forget_positions(session, stays, now)
@@ -350,58 +359,3 @@ def _forget_vehicle(session: Session, subject: Subject, erased: Counts) -> Count
     vehicle = session.get_one(Vehicle, subject.vehicle_id, with_for_update=True)
     vehicle.name, vehicle.plate = f"Erased vehicle {vehicle.id[:8]}", None
     return {"installations": erased.get("installations", 0) + count, "name and plate": 1}
-
-
-# --- the certificate
-
-
-def certificate(session: Session, row: Erasure) -> dict[str, Any]:
-    """What was erased and by whose order, with the hashes that stay behind in the boxes' chains."""
-    if row.finished_at is None:
-        raise ConflictError("The erasure is not finished; blobs put less than a day ago wait", code="not_finished")
-    batches = session.execute(
-        select(Batch.device_id, Batch.chain_index, Batch.body_sha256, Batch.column_sha256, Batch.erased_at)
-        .where(Batch.erasure_id == row.id)
-        .order_by(Batch.device_id, Batch.chain_index)
-    ).all()
-    revisions = session.execute(
-        select(Event.id, EventRevision.number, EventRevision.event_sha256, EventRevision.input_sha256)
-        .join(EventRevision, EventRevision.event_id == Event.id)
-        .where(Event.erasure_id == row.id)
-        .order_by(Event.id, EventRevision.number)
-    ).all()
-    boxes = session.execute(
-        select(Device.id, Device.chain_length, Device.chain_head)
-        .where(Device.id.in_({batch.device_id for batch in batches}))
-        .order_by(Device.id)
-    ).all()
-    told: dict[str, Any] = {
-        "schema": SCHEMA,
-        "software": {"name": "scatola", "version": metadata.version("scatola")},
-        "erasure_id": row.id,
-        "organisation_id": row.organisation_id,
-        "subject": {"kind": row.subject_kind, "id": row.subject_id},
-        "period": {"since": row.since and instant(row.since), "until": row.until and instant(row.until)},
-        "reason": row.reason,
-        "requested_at": instant(row.requested_at),
-        "requested_by": row.requested_by,
-        "finished_at": instant(row.finished_at),
-        "erased": row.erased,
-        "kept": row.kept,
-        "chains": [{"device_id": b.id, "length": b.chain_length, "head": b.chain_head} for b in boxes],
-        "batches": [
-            {
-                "device_id": b.device_id,
-                "chain_index": b.chain_index,
-                "body_sha256": b.body_sha256,
-                "column_sha256": b.column_sha256,
-                "erased_at": instant(b.erased_at or row.finished_at),
-            }
-            for b in batches
-        ],
-        "event_revisions": [
-            {"event_id": r.id, "number": r.number, "event_sha256": r.event_sha256, "input_sha256": r.input_sha256}
-            for r in revisions
-        ],
-    }
-    return {**told, "sha256": sha256(told)}

@@ -9,12 +9,13 @@ import io
 import json
 import zipfile
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from typing import Any
 
 import orjson
 import pyarrow as pa
 import pyarrow.parquet as pq
-from sqlalchemy import ColumnElement, or_, select
+from sqlalchemy import ColumnElement, false, or_, select
 from sqlalchemy.orm import InstrumentedAttribute, Session
 
 from server.database import Database
@@ -23,6 +24,7 @@ from server.models import (
     AccidentClaim,
     Alert,
     AlertDelivery,
+    Analysis,
     ApiKey,
     Assignment,
     AuditEntry,
@@ -43,7 +45,7 @@ from server.models import (
     Vehicle,
     WebSession,
 )
-from server.privacy import subjects
+from server.privacy import analyses, subjects
 from server.privacy.subjects import Subject
 from server.store import BlobStore, raw_body, raw_columns
 
@@ -67,6 +69,7 @@ README = """Everything that Scatola holds about one {kind}.
 *.jsonl         rows of the database, one JSON object a line; times are UTC, units stand in the names
 tracks/*.parquet  the 1 Hz track of each trip: time, latitude and longitude (degrees, WGS84), altitude, speed, course
 events/*.json   what was computed of each event, canonical JSON, one file a revision
+analyses/*.json  what the workbench made of trips
 raw/DEVICE/N.parquet  what upload N of a box's chain measured, columns as in docs/device-protocol.md; N.body the upload
                 as it came, where it was kept.  Uploads that were erased have their row in batches.jsonl and no file
 """
@@ -147,6 +150,7 @@ def _of_vehicle(database: Database, store: BlobStore, subject: Subject) -> Itera
     yield "alert_deliveries.jsonl", rows(AlertDelivery, AlertDelivery.id, AlertDelivery.alert_id.in_(of_alerts))
     yield "claims.jsonl", rows(AccidentClaim, AccidentClaim.id, *subject.claims())
     yield "diagnosis.jsonl", (piece for stay in stays for piece in _diagnosis(database, rows, stay))
+    yield from _analyses(database, store, rows, subject)
     yield "changes.jsonl", rows(Change, Change.id, *subject.changes())
     mentions = AuditEntry.organisation_id == subject.organisation_id, AuditEntry.subject.contains(subject.vehicle_id)
     yield "audit.jsonl", rows(AuditEntry, AuditEntry.id, *mentions)
@@ -155,6 +159,19 @@ def _of_vehicle(database: Database, store: BlobStore, subject: Subject) -> Itera
     for _, wanted in parts:
         for batch_id in _ids(database, Batch.id, Batch.erasing_at.is_(None), *wanted):
             yield from _raw(database, store, batch_id)
+
+
+def _analyses(database: Database, store: BlobStore, rows: _Rows, subject: Subject) -> Iterator[Member]:
+    with database.reading() as session:
+        of_vehicle = or_(false(), *analyses.wanted(session, subject))
+    yield "analyses.jsonl", rows(Analysis, Analysis.id, of_vehicle)
+    for analysis_id in _ids(database, Analysis.id, of_vehicle):
+        with database.reading() as session:
+            row = session.get(Analysis, analysis_id)
+        if row is None or row.status != "done" or row.result_key is None:
+            continue
+        with suppress(KeyError):  # erased while the archive was being made
+            yield f"analyses/{analysis_id}.json", iter([store.get(row.result_key)])
 
 
 def _diagnosis(database: Database, rows: _Rows, stay: subjects.Stay) -> Iterator[bytes]:
@@ -187,6 +204,7 @@ def _of_user(database: Database, organisation_id: str, user_id: str) -> Iterator
     theirs = or_(AuditEntry.actor_id == user_id, AuditEntry.actor_name == email, AuditEntry.subject == email)
     yield "audit.jsonl", rows(AuditEntry, AuditEntry.id, AuditEntry.organisation_id == organisation_id, theirs)
     of_events = select(Event.id).where(Event.organisation_id == organisation_id)
+    yield "analyses.jsonl", rows(Analysis, Analysis.id, Analysis.user_id == user_id)
     said = EventAction.actor == email, EventAction.event_id.in_(of_events)
     yield "event_actions.jsonl", rows(EventAction, EventAction.id, *said)
 

@@ -23,7 +23,7 @@ DEFAULT_DAYS: dict[str, int | None] = {
     "audit": 1095,
 }
 MEANINGS = {
-    "raw": marked("Raw samples and their digests, but for those that a crash rests on"),
+    "raw": marked("Raw samples and their digests, but for those that a crash rests on; the workbench's analyses"),
     "tracks": marked("The way of a trip, a position a second"),
     "trips": marked("Trips as figures: times, distance, top speed"),
     "manoeuvres": marked("Harsh driving and other events without a reconstruction"),

@@ -19,7 +19,7 @@ from server.accounts.caller import Caller
 from server.database import Database
 from server.events.holds import evidence, held, trip_held
 from server.models import Alert, AuditEntry, Batch, Change, Device, Diagnosis, Event, Organisation, RetentionRule, Trip
-from server.privacy import policy, tombstones
+from server.privacy import analyses, policy, tombstones
 from server.store import BlobStore
 
 ROWS = 1000
@@ -91,6 +91,9 @@ def _pieces(database: Database, rule: _Rule, now: dt.datetime) -> Iterator[int]:
     for device_id in _boxes(database, rule, candidates):
         # A piece that removes nothing ends it: what is left is kept by a hold.
         while count := _remove(database, rule, lambda session, box=device_id: remove(session, box, now)):
+            yield count
+    if rule.name == "raw":  # what the workbench made of samples, and the files that were brought to it
+        while count := _remove(database, rule, lambda s: analyses.delete_old(s, rule.organisation_id, rule.before)):
             yield count
 
 

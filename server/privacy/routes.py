@@ -21,9 +21,11 @@ from server.accounts.access import (
     address_of,
 )
 from server.accounts.users import user_of
-from server.edge import DatabaseOf, Moment, Now, StoreOf
+from server.edge import DatabaseOf, Moment, Now, SettingsOf, StoreOf
+from server.evidence.seal import readable_key
 from server.models import Event
 from server.privacy import erasure, export, policy, subjects
+from server.privacy.certificate import certificate
 from server.privacy.schemas import (
     ErasureIn,
     ErasureOut,
@@ -129,10 +131,16 @@ def read_erasure(erasure_id: Id, caller: PrivacyManager, database: DatabaseOf) -
 
 
 @router.get("/erasures/{erasure_id}/certificate", responses=described(409))
-def read_certificate(erasure_id: Id, caller: PrivacyManager, database: DatabaseOf) -> dict[str, Any]:
-    """What was erased, with the hashes that stay in the chains of evidence; once it is finished."""
+def read_certificate(
+    erasure_id: Id, caller: PrivacyManager, settings: SettingsOf, database: DatabaseOf
+) -> dict[str, Any]:
+    """What was erased, with the hashes that stay in the chains of evidence; once it is finished.
+
+    Signed where the operator has a key (docs/privacy.md).
+    """
+    key = readable_key(settings)
     with database.reading() as session:
-        return erasure.certificate(session, erasure.erasure_of(session, caller.organisation_id, erasure_id))
+        return certificate(session, erasure.erasure_of(session, caller.organisation_id, erasure_id), key)
 
 
 @router.get("/vehicles/{vehicle_id}/export", response_class=StreamingResponse, responses=ZIP)

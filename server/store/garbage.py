@@ -23,12 +23,13 @@ def collect(store: BlobStore, database: Database, older_than: dt.datetime) -> in
     """
     deleted = 0
     for key in store.stale(older_than):
-        if not _has_row(database, key) and store.delete_stale(key, older_than):
+        if not has_row(database, key) and store.delete_stale(key, older_than):
             deleted += 1
     return deleted
 
 
-def _has_row(database: Database, key: str) -> bool:
+def has_row(database: Database, key: str) -> bool:
+    """Whether a row speaks of a blob."""
     organisation_id, _, rest = key.partition("/")
     device_id = rest.partition("/")[0]
     # By device first: the blob columns have no index of their own, and need none for this.

@@ -9,6 +9,7 @@ from starlette.responses import Response
 
 from server.accounts.access import Administrator, Reader
 from server.edge import DatabaseOf, Now
+from server.problems import described
 from server.vehicles import queries, service
 from server.vehicles.schemas import VehicleChange, VehicleIn, VehicleOut, VehiclePage
 
@@ -50,7 +51,7 @@ def change(vehicle_id: str, wanted: VehicleChange, caller: Administrator, databa
         return queries.vehicle(session, caller.organisation_id, vehicle_id)
 
 
-@router.delete("/{vehicle_id}", status_code=204)
+@router.delete("/{vehicle_id}", status_code=204, responses=described(409))
 def remove(vehicle_id: str, caller: Administrator, database: DatabaseOf, now: Now) -> Response:
     """Delete a vehicle that never had a box."""
     with database.transaction() as session:

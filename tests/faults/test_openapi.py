@@ -13,7 +13,7 @@ import schemathesis
 from hypothesis import HealthCheck, Phase, given, seed, settings
 from schemathesis.specs.openapi.checks import content_type_conformance, status_code_conformance
 
-from server.accounts.gate import _DEVICE_PATHS
+from server.accounts.gate import DEVICE_PATHS
 from tests.conftest import ADMIN_TOKEN
 
 EXAMPLES = int(os.environ.get("SCATOLA_OPENAPI_EXAMPLES", "3"))
@@ -51,7 +51,7 @@ def test_every_operation(app, address, make_device):
                 continue
             tried += 1
             try:
-                attempt(operation, address, token if operation.path in _DEVICE_PATHS else ADMIN_TOKEN, session)
+                attempt(operation, address, token if operation.path in DEVICE_PATHS else ADMIN_TOKEN, session)
             except (AssertionError, BaseExceptionGroup) as error:
                 told = "; ".join(str(one) for one in getattr(error, "exceptions", [error]))
                 wrong.append(f"{operation.method.upper()} {operation.path}: {told[:500]}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import socket
 import threading
@@ -11,6 +12,7 @@ import httpx
 import pytest
 import sqlalchemy as sa
 
+from server import patience
 from server.app import CONCURRENT_UPLOADS
 from server.ingest import body as reading
 from server.models import Batch
@@ -114,3 +116,56 @@ def test_an_answer_that_nobody_fetches(address, client, make_device, stored):
     for number in range(MANY):
         assert send(client, token, f"slow/{number}").status_code == 202
     assert stored() == MANY
+
+
+def closed_within(connection: socket.socket, seconds: float) -> bytes:
+    """What came until the other side closed."""
+    connection.settimeout(seconds)
+    answer = b""
+    while more := connection.recv(65536):
+        answer += more
+    return answer
+
+
+def test_a_head_that_does_not_end_is_cut_off(address, client, make_device, monkeypatch):
+    """Nothing sent, half a head, a head that drips, half a second head on a connection that was served."""
+    monkeypatch.setattr(patience, "HEAD_S", 0.5)
+    _, token = make_device()
+    host, port = address.removeprefix("http://").split(":")
+    opened = [socket.create_connection((host, int(port)), 10.0) for _ in range(4)]
+    silent, half, dripping, second = opened
+    half.sendall(b"POST /api/v1/batches HTTP/1.1\r\nHost: x\r\n")
+    second.sendall(b"GET /healthz HTTP/1.1\r\nHost: x\r\n\r\n")
+    while b"ok" not in second.recv(65536):
+        pass
+    second.sendall(b"GET /healthz HTTP/1.1\r\nHost: x\r\nX-Slow: ")
+    over = threading.Event()
+
+    def drip() -> None:
+        while not over.wait(0.02):
+            try:
+                dripping.sendall(b"G")
+            except OSError:
+                return
+
+    thread = threading.Thread(target=drip)
+    thread.start()
+    assert send(client, token, "good/0").status_code == 202
+    try:
+        for connection in (silent, half, second):
+            with connection:
+                assert closed_within(connection, 20.0) == b""
+        with dripping, contextlib.suppress(ConnectionResetError):
+            closed_within(dripping, 20.0)
+    finally:
+        over.set()
+        thread.join()
+
+
+def test_a_slow_answer_and_a_slow_body_are_not_a_slow_head(address, make_device, monkeypatch):
+    """A head that came in time may be followed by a body that takes longer, and by further requests."""
+    monkeypatch.setattr(patience, "HEAD_S", 0.3)
+    connection = begun(address, make_device()[1], 0, promised=len(BODY), sent=BODY[:10])
+    threading.Event().wait(0.6)
+    connection.sendall(BODY[10:])
+    assert answer_of(connection).startswith(b"HTTP/1.1 202 ")

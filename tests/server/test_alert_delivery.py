@@ -19,7 +19,11 @@ import pytest
 from receivers import free_port, make_certificate, smtp_server, webhook
 from sqlalchemy import select
 
-from server.alerts import delivery, service
+from server.accounts.caller import Caller
+from server.accounts.preferences import LANGUAGES, Preferences
+from server.accounts.schemas import UserIn
+from server.accounts.users import add_user
+from server.alerts import delivery, service, words
 from server.alerts.delivery import LEASE, deliver_due, pause_s
 from server.alerts.raising import Finding, raise_all
 from server.alerts.schemas import EmailIn, WebhookIn
@@ -27,7 +31,7 @@ from server.alerts.webhook import Answer, Guard, RefusedTargetError, check_url, 
 from server.devices.schemas import DeviceIn
 from server.devices.service import register
 from server.errors import ConflictError, InvalidError
-from server.models import Alert, AlertChannel, AlertDelivery, AlertRule, DeliveryAttempt, Vehicle, new_id
+from server.models import Alert, AlertChannel, AlertDelivery, AlertRule, DeliveryAttempt, Device, Vehicle, new_id
 
 both = pytest.mark.both_databases
 LOOPBACK = ("127.0.0.0/8",)
@@ -185,6 +189,20 @@ def test_all_dead_letters_of_a_channel_are_replayed(outbox, clock):
             assert service.replay_all(session, outbox.organisation_id, channel.id, now=clock()) == 2
         outbox.pay()
     assert [outbox.row(one).state for one in owed] == ["delivered", "delivered"]
+
+
+@both
+def test_deliveries_are_listed_a_page_at_a_time(outbox, admin):
+    channel = mail_channel(outbox, "a@b.test")
+    owed = {one for _ in range(5) for one in outbox.owe(channel)}
+    path, seen, place = "/api/v1/alert-deliveries", [], {}
+    while place is not None:
+        page = admin.get(path, params={"limit": 2, **place}).raise_for_status().json()
+        seen += [item["id"] for item in page["items"]]
+        place = {"before": page["next"]} if page["next"] else None
+    assert len(seen) == 5
+    assert set(seen) == owed
+    assert admin.get(path, params={"before": "nonsense"}).status_code == 422
 
 
 def test_what_is_owed_to_a_deleted_channel_is_dead(outbox):
@@ -470,6 +488,57 @@ def test_an_alert_is_mailed_over_tls_with_a_login(outbox, tmp_path):
     assert "turned in its vehicle by 34°" in text
     assert "https://fleet.test/alerts#alert-" in text
     assert outbox.row(owed).state == "delivered"
+
+
+@both
+def test_a_mail_is_in_the_languages_of_those_who_get_it(outbox):
+    def person(email: str, language: str | None) -> None:
+        wanted = UserIn(email=email, name="x", role="manager")
+        with outbox.database.transaction() as session:
+            caller = Caller(outbox.organisation_id, "admin")
+            user, _ = add_user(session, outbox.organisation_id, caller, wanted, now=outbox.clock())
+            user.preferences = Preferences(language=language).to_json()
+
+    person("ida@b.test", "it")
+    person("ann@b.test", "en")
+    person("all@b.test", None)
+    with smtp_server() as box:
+        settings = mailing(outbox, box, smtp_security="none")
+        for recipients in (["Ida@B.test"], ["ann@b.test"], ["ida@b.test", "elsewhere@c.test"], ["all@b.test"]):
+            outbox.owe(mail_channel(outbox, *recipients))
+            outbox.pay(settings)
+    italian, english, both_, unsaid = box.mails
+    assert italian["Subject"] == "Scatola mossa: box"
+    assert italian.get_content().splitlines()[:2] == [
+        "Scatola mossa: box",
+        "La scatola è stata ruotata nel veicolo di 34°",
+    ]
+    assert "Quando: 2026-03-01 12:00:00 UTC" in italian.get_content()
+    assert english["Subject"] == unsaid["Subject"] == "Box moved: box"
+    assert "scatola" not in english.get_content()
+    assert both_["Subject"] == "Box moved: box / Scatola mossa: box"
+    text = both_.get_content()
+    assert text.index("turned in its vehicle by 34°") < text.index("ruotata nel veicolo di 34°")
+
+
+@pytest.mark.parametrize("language", list(LANGUAGES))
+def test_an_emergency_is_said_whole_in_every_language(language):
+    from server.language import catalogue
+
+    place = {"lat_deg": 45.0, "lon_deg": 7.6, "radius95_m": 12.0, "age_s": 0.0, "source": "trajectory"}
+    severity = {
+        "kind": "rollover", "delta_v_kmh": 31.0, "delta_v_interval95_kmh": [28.0, 34.0], "pdof_clock": 12,
+        "impact_speed_kmh": 50.0, "rollover": True,
+    }  # fmt: skip
+    facts = {"position": place, "course_deg": 90.0, "severity": severity, "delay_s": 600.0, "not_known": ["vin"]}
+    at = dt.datetime(2026, 3, 1, 12, tzinfo=dt.UTC)
+    alert = Alert(id="a", kind="emergency", at=at, facts=facts)
+    subject = words.Subject(alert, None, Device(name="box"), None)
+    text = words.mail_text(subject, AlertDelivery(reason="raised"), None, catalogue(language).gettext)
+    assert "%" not in text.replace("95 %", "")
+    for figure in ("45.000000", "12 m (95 %)", "90°", "28", "34", "50 km/h", "10 min", "vin"):
+        assert figure in text, figure
+    assert ("Occupants" in text) == (language == "en")
 
 
 def test_a_name_with_a_line_break_makes_no_header(outbox):

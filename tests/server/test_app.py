@@ -271,3 +271,44 @@ def test_many_who_ask_for_figures_ask_the_database_once(app, client, monkeypatch
         "scatola_due_oldest_seconds",
     ):
         assert all(f"\n{name} " in text for text in texts), name
+
+
+def test_the_description_says_who_may_call_and_what_may_come(app):
+    schema = app.openapi()
+    assert set(schema["components"]["securitySchemes"]) == {"token", "session", "box", "signature"}
+    wanted = {
+        ("post", "/api/v1/batches"): [{"box": []}, {"signature": []}],
+        ("get", "/api/v1/device"): [{"box": []}, {"signature": []}],
+        ("get", "/api/v1/events"): [{"token": []}, {"session": []}],
+        ("post", "/api/v1/claim"): [],
+        ("post", "/api/v1/auth/session"): [],
+    }
+    for (method, path), security in wanted.items():
+        assert schema["paths"][path][method]["security"] == security, path
+    for path, operations in schema["paths"].items():
+        for method, operation in operations.items():
+            statuses = set(operation["responses"])
+            assert "503" in statuses, path
+            assert ("507" in statuses) >= (method != "get"), path
+            assert ("413" in statuses) >= ("requestBody" in operation), path
+            assert ("410" in statuses) == ("{event_id}" in path), path
+    assert app.openapi() is schema
+
+
+def test_what_the_state_of_things_forbids_is_described(admin, app, make_device):
+    """Statuses that only come when something was done before, so that no generator of requests finds them."""
+    described = app.openapi()["paths"]
+    vehicle = admin.post("/api/v1/vehicles", json={"name": "Panda"}).json()["id"]
+    device, _ = make_device(vehicle_id=vehicle)
+    admin.post(f"/api/v1/devices/{device}/revoke").raise_for_status()
+    for method, path, filled in (
+        ("delete", "/api/v1/vehicles/{vehicle_id}", f"/api/v1/vehicles/{vehicle}"),
+        ("post", "/api/v1/devices/{device_id}/token", f"/api/v1/devices/{device}/token"),
+        ("post", "/api/v1/devices/{device_id}/claim-code", f"/api/v1/devices/{device}/claim-code"),
+    ):
+        answer = admin.request(method, filled)
+        assert answer.status_code == 409, path
+        assert "409" in described[path][method]["responses"], path
+    tries = [admin.post("/api/v1/auth/session", json={"code": "x"}) for _ in range(11)]
+    assert tries[-1].status_code == 429
+    assert "429" in described["/api/v1/auth/session"]["post"]["responses"]

@@ -12,10 +12,11 @@ import pytest
 import sqlalchemy as sa
 
 from server.backup.archive import BackupError, backup, restore
+from server.backup.tables import BLOB_COLUMNS
 from server.cli.main import main
 from server.database import Database, make_engine
 from server.migrations import upgrade
-from server.models import AuditEntry, Batch, Change
+from server.models import Analysis, AuditEntry, Base, Batch, Change
 from server.settings import Settings
 from server.store import open_store
 
@@ -195,3 +196,27 @@ def test_an_older_backup_is_migrated_after_it_came_back(fresh, tmp_path, monkeyp
         assert connection.execute(sa.text("SELECT name FROM organisation")).scalar() == "n"
         assert connection.execute(sa.text("SELECT count(*) FROM job_failure")).scalar() == 0
     engine.dispose()
+
+
+def test_every_column_that_names_a_blob_is_backed_up():
+    names = {column.name for table in Base.metadata.tables.values() for column in table.columns}
+    others = {"idempotency_key", "public_key"}
+    assert {name for name in names if name.endswith("_key")} - others == set(BLOB_COLUMNS)
+
+
+def test_the_workbenchs_files_come_back(settings, database, organisation, fresh, tmp_path):
+    store = open_store(settings)
+    keys = {"input_key": f"{organisation.id}/workbench/in.input", "result_key": f"{organisation.id}/workbench/out.json"}
+    for key in keys.values():
+        store.put(key, key.encode())
+    with database.transaction() as session:
+        analysis = Analysis(
+            organisation_id=organisation.id, creator="ada", kind="allan", name="rest", parameters={}, created_at=NOW,
+            status="done", **keys,
+        )  # fmt: skip
+        session.add(analysis)
+    taken = backup(settings, tmp_path / "out", now=NOW)
+    assert (taken.blobs["count"], taken.lost_blobs) == (2, [])
+    other = fresh("sqlite")
+    assert restore(other, tmp_path / "out").content_sha256 == taken.content_sha256
+    assert [open_store(other).get(key) for key in keys.values()] == [key.encode() for key in keys.values()]

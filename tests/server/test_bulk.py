@@ -113,6 +113,15 @@ def test_many_trips_and_batches_come_in_bounded_groups(database, settings, tenan
             assert len(set(ids)) == 50
 
 
+def test_what_is_being_erased_is_not_given_out_while_its_blob_is_still_there(admin, tenants):
+    with tenants.database.transaction() as session:
+        session.execute(sa.update(Batch).values(erasing_at=AT))
+    file = pq.ParquetFile(io.BytesIO(admin.get("/api/v1/export/samples").content))
+    assert file.metadata.num_rows == 0
+    assert file.metadata.metadata[b"batches_without_data"] == b"1"
+    assert admin.get(f"/api/v1/devices/{tenants.mine['device']}/level").json()["received_at"] is None
+
+
 def test_the_command_writes_a_whole_file_or_none(tenants, settings, monkeypatch, tmp_path, capsys):
     monkeypatch.setenv("SCATOLA_DATA_DIR", str(settings.data_dir))
     out = tmp_path / "events.parquet"

@@ -156,3 +156,41 @@ def test_a_crash_and_a_move_are_in_the_truth(capsys, tmp_path):
     assert event["delta_v_kmh"]["resultant"] == pytest.approx(32.0, abs=0.2)
     assert event["pdof_deg"] == pytest.approx(-20.0, abs=0.5)
     assert truth["changes"] == [{"t_s": 60.0, "angle_deg": pytest.approx(10.0)}]
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "said"),
+    [
+        ("SCATOLA_DATABASE_URL", "postgresql://ada:hunter2@127.0.0.1:1/x", "scatola: the database: "),
+        ("SCATOLA_DATABASE_URL", "nonsense-hunter2", "scatola: the database: "),
+        ("SCATOLA_DATABASE_URL", "oracle+none://hunter2@x/y", "scatola: the database: "),
+        ("SCATOLA_PORT", "hunter2", "scatola: settings: SCATOLA_PORT: "),
+        ("SCATOLA_ADMIN_TOKEN_FILE", "/nowhere/token", "scatola: settings: SCATOLA_ADMIN_TOKEN_FILE: "),
+    ],
+)
+@pytest.mark.parametrize("command", ["migrate", "serve", "verify"])
+def test_a_server_that_does_not_answer_or_a_wrong_setting_is_one_clear_line(
+    capsys, monkeypatch, tmp_path, command, name, value, said
+):
+    monkeypatch.setenv("SCATOLA_DATA_DIR", str(tmp_path))
+    monkeypatch.setenv(name, value)
+    status, printed = run(capsys, command)
+    assert status == 1
+    lines = [line for line in printed.err.splitlines() if line.startswith("scatola: ")]
+    assert len(lines) == 1
+    assert lines[0].startswith(said)
+    assert "hunter2" not in lines[0]
+    assert "Traceback" not in printed.err
+
+
+def test_a_database_that_was_never_migrated_is_one_clear_line(capsys, monkeypatch, tmp_path):
+    monkeypatch.setenv("SCATOLA_DATA_DIR", str(tmp_path))
+    status, printed = run(capsys, "verify")
+    assert (status, printed.err.count("\n")) == (1, 1)
+    assert "no such table" in printed.err
+
+
+def test_a_mistake_of_ours_keeps_its_traceback(monkeypatch):
+    monkeypatch.setattr("server.cli.files.mount", lambda _: 1 // 0)
+    with pytest.raises(ZeroDivisionError):
+        main(["mount", "x"])

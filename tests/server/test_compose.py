@@ -20,6 +20,11 @@ from tests.e2e.service import eventually, free_port
 
 ROOT = Path(__file__).resolve().parents[2]
 ONE_SHOT = {"prepare", "migrate", "bucket"}
+CAPABILITIES = {
+    "prepare": ["CHOWN"],
+    # The image's binary carries it as a file capability: the kernel starts it only where the bounding set has it, too.
+    "proxy": ["NET_BIND_SERVICE"],
+}
 AMQP = "amqp://guest:guest@127.0.0.1:5672/"
 
 
@@ -56,7 +61,7 @@ def test_every_service_is_closed(compose):
         assert service["security_opt"] == ["no-new-privileges:true"], name
         if name != "prepare":
             assert service["user"] not in ("root", "0", "0:0"), name
-            assert "cap_add" not in service, name
+        assert service.get("cap_add", []) == CAPABILITIES.get(name, []), name
         assert "privileged" not in service, name
         assert service["restart"] == ("no" if name in ONE_SHOT else "unless-stopped"), name
         assert ("healthcheck" in service) == (name not in ONE_SHOT), name
@@ -69,6 +74,38 @@ def test_every_service_is_closed(compose):
                 assert value.removeprefix("/run/secrets/") in service["secrets"], (name, variable)
     published = [name for name, service in compose["services"].items() if "ports" in service]
     assert published == ["proxy"]
+
+
+def test_secrets_are_readable_for_every_image_and_for_nobody_else(compose):
+    """Compose mounts a secret as it lies on the host, and the images run as several users: one group for all."""
+    for name, service in compose["services"].items():
+        assert service["group_add"] == ["10001"], name
+    told = (ROOT / "docs" / "operations.md").read_text()
+    made = told[told.index("mkdir -p secrets") : told.index("docker compose up -d\n```")]
+    assert "umask 077" in made
+    assert re.search(r"chgrp 10001 \* && chmod 640 \*", made)
+    assert all(name in made for name in compose["secrets"])
+
+
+def test_every_other_setting_reaches_the_containers(compose):
+    """From a file that need not be there; what the compose file itself says is not asked of the shell besides."""
+    for name in ("migrate", "api", "worker", "viewer"):
+        service = compose["services"][name]
+        assert service["env_file"] == [{"path": "scatola.env", "required": False}], name
+        assert not [value for value in service["environment"].values() if "${" in str(value)], name
+
+
+def test_what_must_keep_its_name_or_a_home_on_a_closed_file_system(compose):
+    services = compose["services"]
+    assert services["broker"]["hostname"] == "broker"
+    assert services["objects"]["environment"]["HOME"] == "/tmp"
+    assert services["bucket"]["environment"]["MC_CONFIG_DIR"].startswith("/tmp/")
+
+
+def test_the_image_has_the_python_that_is_tested():
+    lock = (ROOT / "Makefile").read_text()
+    version = re.search(r"--python-version (\S+)", lock)[1]
+    assert set(re.findall(r"^FROM python:(\S+)-slim", (ROOT / "Dockerfile").read_text(), re.MULTILINE)) == {version}
 
 
 def test_the_image_runs_as_the_user_that_compose_names(compose):

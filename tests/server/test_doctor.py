@@ -8,7 +8,7 @@ from fleet_world import Leg, World, cut, drive_of
 
 from server.cli.main import main
 from server.jobs.failures import MAX_FAILURES, Job, note_failure
-from server.models import Batch, Change
+from server.models import Analysis, Batch, Change
 from server.operations.doctor import Doctor
 
 
@@ -70,3 +70,24 @@ def test_settings_that_are_wrong_are_named_but_not_repeated(monkeypatch, capsys)
     told = capsys.readouterr().err
     assert "SCATOLA_PORT" in told
     assert "hunter2" not in told
+
+
+def test_files_of_the_workbench_are_no_orphans(world, settings, clock):
+    keys = [f"{world.organisation.id}/workbench/{name}" for name in ("in.input", "lost.input")]
+    for key in keys:
+        world.store.put(key, b"x")
+    with world.database.transaction() as session:
+        session.add(
+            Analysis(
+                organisation_id=world.organisation.id,
+                creator="ada",
+                kind="allan",
+                name="rest",
+                parameters={},
+                created_at=clock(),
+                input_key=keys[0],
+            )
+        )
+    later = dt.datetime.now(dt.UTC) + dt.timedelta(days=2)
+    (told,) = [f.detail for f in Doctor(settings, later).findings() if f.check == "blobs" and f.status == "warning"]
+    assert told.startswith("1 of ")

@@ -14,7 +14,7 @@ from nav_core.mounting.thesis import REASONS as THESIS_REASONS
 from server.accounts.preferences import LANGUAGES, Preferences, View, preferred
 from server.errors import ProblemError
 from server.installations.blank import REASON_CODES
-from server.pages.language import SCRIPTS, catalogue, files
+from server.language import SCRIPTS, catalogue, files
 from server.pages.templating import environment, number
 from server.problems import DESCRIBED, InternalProblemError
 from server.resources import folder

@@ -208,3 +208,22 @@ def test_the_table_is_left_alone_while_nobody_listens(database, organisation, te
         assert len(asked) <= count + 1
 
     asyncio.run(scenario())
+
+
+@pytest.mark.both_databases
+def test_an_id_of_a_database_that_is_no_more_does_not_silence_the_stream(admin, tell):
+    """A browser that was open while an older backup was restored."""
+    over = threading.Event()
+
+    def keep_telling() -> None:
+        while not over.wait(0.1):
+            tell("two")
+
+    teller = threading.Thread(target=keep_telling)
+    teller.start()
+    try:
+        with Stream(admin, **{"Last-Event-ID": "1000000"}) as stream:
+            assert stream.event()["event"] == "two"
+    finally:
+        over.set()
+        teller.join()

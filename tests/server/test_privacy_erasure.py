@@ -6,11 +6,14 @@ import datetime as dt
 import hashlib
 import io
 import json
+import os
 import zipfile
 
 import pyarrow.parquet as pq
 import pytest
 import sqlalchemy as sa
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
 from privacy_world import T0, Fleet
 
 from server.cli.main import main
@@ -21,7 +24,9 @@ from server.formats.columns import Columns
 from server.models import (
     AccidentClaim,
     Alert,
+    AlertChannel,
     AlertDelivery,
+    Analysis,
     AuditEntry,
     Batch,
     BatchDigest,
@@ -34,6 +39,8 @@ from server.models import (
     EventRevision,
     Installation,
     MountingRevision,
+    Rerun,
+    TheftWatch,
     TrackPoint,
     Trip,
     User,
@@ -300,6 +307,115 @@ def test_a_person_is_exported_and_erased(admin, client, database, clock):
         assert session.scalars(sa.select(WebSession)).all() == []
     assert client.get("/api/v1/account").status_code == 401
     assert admin.get("/users").status_code == 200
+
+
+@both
+def test_a_persons_name_goes_from_everywhere_and_alerts_go_to_them_no_more(admin, fleet):
+    ada = admin.post("/api/v1/users", json={"email": "ada@fleet.test", "name": "Ada", "role": "manager"}).json()
+    mails = {"kind": "email", "name": "m", "emergency": True}
+    alone, among = (
+        admin.post("/api/v1/alert-channels", json={**mails, "recipients": recipients}).json()["id"]
+        for recipients in (["Ada@fleet.test"], ["bob@fleet.test", "ada@Fleet.test"])
+    )
+    tell(fleet, at=fleet.clock())
+    with fleet.database.transaction() as session:
+        session.execute(sa.update(Alert).values(acknowledged_by="ada@fleet.test"))
+        session.execute(sa.update(AccidentClaim).values(created_by="ada@fleet.test"))
+        org = fleet.organisation.id
+        session.add(TheftWatch(vehicle_id=fleet.vehicle_id, organisation_id=org, armed_by="ada@fleet.test"))
+        session.add(
+            Analysis(
+                organisation_id=org,
+                creator="ada@fleet.test",
+                kind="allan",
+                name="rest",
+                parameters={},
+                created_at=fleet.clock(),
+                user_id=ada["id"],
+            )
+        )
+        session.add(
+            Rerun(organisation_id=org, created_at=fleet.clock(), created_by="ada@fleet.test", algorithm="x", total=0)
+        )
+    url = f"/api/v1/users/{ada['id']}"
+    with zipfile.ZipFile(io.BytesIO(admin.get(f"{url}/export").content)) as bundle:
+        assert len(bundle.read("analyses.jsonl").splitlines()) == 1
+    alerts = len(fleet.rows(Alert))
+    plan = admin.post(f"{url}/erasure", json={"reason": "left", "dry_run": True}).json()["would_erase"]
+    assert (plan["names"], plan["alert recipients"]) == (alerts + 4, 2)
+    admin.post(f"{url}/erasure", json={"reason": "left"}).raise_for_status()
+    run(fleet)
+    for model in (Alert, AccidentClaim, TheftWatch, Analysis, Rerun, AlertChannel):
+        for row in fleet.rows(model):
+            values = [getattr(row, column.key) for column in model.__table__.columns]
+            assert "ada@" not in str(values).lower(), model
+    assert {row.acknowledged_by for row in fleet.rows(Alert)} == {f"erased-{ada['id']}@erased.invalid"}
+    channels = {row.id: (row.recipients, row.enabled) for row in fleet.rows(AlertChannel)}
+    assert channels == {alone: ([], False), among: (["bob@fleet.test"], True)}
+    assert admin.get("/admin/alerts").status_code == admin.get(f"/admin/alerts/channels/{alone}").status_code == 200
+
+
+def analysed(fleet, *, t_first_s: float, t_last_s: float) -> str:
+    """A finished analysis of a stretch of the fleet's box; its id."""
+    key = f"{fleet.organisation.id}/workbench/{t_first_s:g}.json"
+    fleet.store.put(key, b'{"track": [45.1, 7.6]}')
+    os.utime(fleet.store._root / key, (fleet.clock().timestamp(),) * 2)  # by this test's clock
+    with fleet.database.transaction() as session:
+        row = Analysis(
+            organisation_id=fleet.organisation.id, creator="ada", kind="track", name="Van, 2026-03-01 12:00 UTC",
+            parameters={}, created_at=fleet.clock(), status="done", device_id=fleet.device_id, boot="boot",
+            t_first_s=t_first_s, t_last_s=t_last_s, result_key=key, result_sha256=hashlib.sha256(b"").hexdigest(),
+        )  # fmt: skip
+        session.add(row)
+        session.flush()
+        return row.id
+
+
+@both
+def test_what_the_workbench_made_of_a_vehicles_trips_goes_with_them(fleet, admin, vehicle_url):
+    early, late = analysed(fleet, t_first_s=0.0, t_last_s=100.0), analysed(fleet, t_first_s=500.0, t_last_s=700.0)
+    with zipfile.ZipFile(io.BytesIO(admin.get(f"{vehicle_url}/export").content)) as bundle:
+        assert len(bundle.read("analyses.jsonl").splitlines()) == 2
+        assert b"45.1" in bundle.read(f"analyses/{early}.json")
+    began = dt.datetime.fromtimestamp(1_772_366_400, dt.UTC)
+    order = {"reason": "asked", "since": (began + dt.timedelta(seconds=450)).isoformat()}
+    plan = admin.post(f"{vehicle_url}/erasure", json={**order, "dry_run": True}).json()
+    assert plan["would_erase"]["analyses"] == 1
+    admin.post(f"{vehicle_url}/erasure", json=order).raise_for_status()
+    run(fleet)
+    # Its result was put a moment ago: the order waits, and nobody sees it meanwhile.
+    assert fleet.one(Erasure).finished_at is None
+    hidden = admin.get(f"/api/v1/analyses/{late}")
+    assert (hidden.json()["name"], hidden.json()["status"]) == ("erased", "cancelled")
+    assert admin.get(f"/api/v1/analyses/{late}/result").status_code == 409
+    fleet.pass_time(days=2)
+    run(fleet)
+    assert fleet.one(Erasure).finished_at is not None
+    assert fleet.one(Erasure).erased["analyses"] == 1
+    assert [row.id for row in fleet.rows(Analysis)] == [early]
+    assert not fleet.store.exists(f"{fleet.organisation.id}/workbench/500.json")
+    assert fleet.store.exists(f"{fleet.organisation.id}/workbench/0.json")
+
+
+@both
+def test_a_certificate_is_signed_where_the_operator_has_a_key(fleet, admin, app, settings, tmp_path, vehicle_url):
+    key, path = Ed25519PrivateKey.generate(), tmp_path / "seal.pem"
+    path.write_bytes(key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()))
+    order = admin.post(f"{vehicle_url}/erasure", json={"reason": "asked"}).json()
+    run(fleet)
+    url = f"/api/v1/erasures/{order['id']}/certificate"
+    assert "signature" not in admin.get(url).json()
+    app.state.settings = settings.model_copy(update={"signing_key_file": path})
+    told = admin.get(url).json()
+    rest = {name: value for name, value in told.items() if name not in ("sha256", "signature")}
+    text = json.dumps(rest, sort_keys=True, separators=(",", ":"), ensure_ascii=False).encode()
+    assert told["sha256"] == hashlib.sha256(text).hexdigest()
+    assert told["signature"]["public_key"] == key.public_key().public_bytes_raw().hex()
+    message = f"scatola-erasure-1\n{told['sha256']}".encode()
+    key.public_key().verify(bytes.fromhex(told["signature"]["signature"]), message)
+    path.unlink()
+    refused = admin.get(url)
+    assert (refused.status_code, refused.json()["code"]) == (503, "signing_key")
 
 
 def test_the_last_administrator_stays(admin, database, clock):

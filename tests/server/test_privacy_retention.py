@@ -14,6 +14,7 @@ from server.evidence.audit import audit
 from server.jobs.work import bring_up_to_date
 from server.models import (
     Alert,
+    Analysis,
     AuditEntry,
     Batch,
     BatchDigest,
@@ -345,3 +346,31 @@ def test_old_alerts_and_values_go_by_their_own_rules(fleet, monkeypatch):
     assert len(fleet.rows(Diagnosis)) == 4
     told = {row.subject: row.detail["removed"] for row in fleet.rows(AuditEntry) if row.action == "retention"}
     assert told == {name: removed[name] for name in ("alerts", "diagnosis")}
+
+
+def test_what_the_workbench_made_goes_with_the_rule_of_raw_data(fleet):
+    key = f"{fleet.organisation.id}/workbench/in.input"
+    fleet.store.put(key, b"x")
+    with fleet.database.transaction() as session:
+        session.add(
+            Analysis(
+                organisation_id=fleet.organisation.id,
+                creator="ada",
+                kind="allan",
+                name="rest",
+                parameters={},
+                created_at=fleet.clock(),
+                input_key=key,
+                status="done",
+            )
+        )
+    set_days(fleet, raw=30)
+    fleet.clock.advance(days=29)
+    apply_retention(fleet.database, fleet.store, now=fleet.clock())
+    assert fleet.one(Analysis).input_key == key
+    fleet.pass_time(days=2)
+    removed = apply_retention(fleet.database, fleet.store, now=fleet.clock())
+    assert removed.counts["raw"] >= 1
+    assert fleet.rows(Analysis) == []
+    collect(fleet.store, fleet.database, fleet.clock() - dt.timedelta(days=1))
+    assert not fleet.store.exists(key)

@@ -137,6 +137,9 @@ def test_a_signed_request_shows_no_token(client, admin, make_device, clock):
         signed(client, device_id, token, now, sequence=1, sent=BODY + b" "),
         signed(client, device_id, token, now, sequence=1, **{"idempotency-key": "b/2"}),
         signed(client, device_id, token, now, sequence=1, **{"scatola-stream": "burst"}),
+        signed(client, device_id, token, now, sequence=1, **{"scatola-sent-at": "86400"}),
+        signed(client, device_id, token, now, sequence=1, **{"scatola-configuration": "1"}),
+        signed(client, device_id, token, now, sequence=1, **{"scatola-answers": "0" * 32}),
         signed(client, device_id, token, now, sequence=1, authorization="Scatola-HMAC-SHA256 x"),
     ):
         assert (wrong.status_code, wrong.json()["code"]) == (401, "signature"), wrong.text

@@ -16,7 +16,8 @@ from pydantic import SecretStr
 from server.models import Batch, Device
 from server.store import blob_key, collect, open_store
 from server.store.blobs import FolderStore
-from server.store.objects import ObjectStore
+from server.store.objects import ObjectStore, StoreUnavailableError
+from tests.e2e.service import free_port
 
 KEY = blob_key("o" * 32, "d" * 32, "a" * 64, "parquet")
 OTHER = blob_key("o" * 32, "d" * 32, "b" * 64, "body")
@@ -237,3 +238,37 @@ def _batch(device: Device, sequence: int, key: str, body_key: str | None, now: d
         chain_index=sequence,
         chain_sha256="",
     )
+
+
+@pytest.fixture
+def absent(monkeypatch) -> ObjectStore:
+    """A bucket of a store that is not there."""
+    for name, value in {
+        "AWS_ENDPOINT": f"http://127.0.0.1:{free_port()}",
+        "AWS_ALLOW_HTTP": "true",
+        "AWS_ACCESS_KEY_ID": "x",
+        "AWS_SECRET_ACCESS_KEY": "y",
+        "AWS_REGION": "us-east-1",
+    }.items():
+        monkeypatch.setenv(name, value)
+    return ObjectStore("s3://scatola")
+
+
+def test_a_store_that_does_not_answer_says_so_in_one_line(absent):
+    for look in (lambda: absent.put(KEY, b""), lambda: absent.get(KEY), lambda: absent.exists(KEY), absent.check):
+        with pytest.raises(StoreUnavailableError, match=r"^the object store: [^\n]*$"):
+            look()
+
+
+def test_a_box_keeps_its_batch_while_the_store_is_away(app, client, make_device, absent, settings):
+    _, token = make_device()
+    app.state.store = absent
+    headers = {"Authorization": f"Bearer {token}", "Idempotency-Key": "b/0"}
+    body = {"columns": {"t": [0.0], "temp": [20.0]}}
+    answer = client.post("/api/v1/batches", json=body, headers=headers)
+    assert (answer.status_code, answer.json()["code"]) == (503, "unavailable")
+    assert int(answer.headers["retry-after"]) >= 1
+    assert client.get("/readyz").json()["checks"]["store"] is False
+    app.state.store = open_store(settings)
+    answer = client.post("/api/v1/batches", json=body, headers=headers)
+    assert (answer.status_code, answer.json()["duplicate"]) == (202, False)

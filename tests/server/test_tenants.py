@@ -743,7 +743,7 @@ def test_who_may_not_locate_is_told_of_an_event_with_a_coarse_place(app, serve, 
         assert (f'action="{url}/review"' in page.text) == (role == "claims")
 
 
-def test_who_may_not_locate_is_told_of_an_alert_without_its_place(app, serve, tenants, clock):
+def test_who_may_not_locate_is_told_of_an_alert_with_a_coarse_place(app, serve, tenants, clock):
     from server.accounts.service import open_session
 
     address = serve(app)
@@ -756,7 +756,10 @@ def test_who_may_not_locate_is_told_of_an_alert_without_its_place(app, serve, te
             one = browser.get(f"/api/v1/alerts/{tenants.mine['alert']}").json()
             page = browser.get("/alerts").text
         for told in (listed, one):
-            assert (told["facts"]["position"] is None) == (role == "reader")
+            position = told["facts"]["position"]
+            place = position["lat_deg"], position["lon_deg"]
+            assert (place == (45.0, 11.0)) == (role == "manager")
+            assert place == pytest.approx((45.0, 11.0), abs=0.01)
             assert told["facts"]["passage"] == "left"
         assert ("45.00000" in page) == (role == "manager")
         assert ("/acknowledge" in page) == (role == "manager")

@@ -1,4 +1,4 @@
-"""The words of the pages: English as it stands in templates and code, other languages from web/locale (ADR 0025).
+"""The words of pages and mails: English as it stands in templates and code, other languages from web/locale (ADR 0025).
 
 A language is a gettext PO file for each part of the site: two people who add pages seldom touch the same file.
 """
