@@ -50,7 +50,7 @@ main(["allan", "none.csv"])
 import numpy as np
 from pathlib import Path
 np.ones((900, 900)) @ np.ones((900, 900))
-names = [task.joinpath("comm").read_text() for task in Path("/proc/self/task").iterdir()]  # others' have names of their own
+names = [task.joinpath("comm").read_text() for task in Path("/proc/self/task").iterdir()]
 print(names.count(Path("/proc/self/comm").read_text()))
 """
     clean = {name: value for name, value in os.environ.items() if name != "OPENBLAS_NUM_THREADS"}
