@@ -49,6 +49,7 @@ def test_one_by_one_is_the_joint_update(seed):
     assert kernels.update_sequential(dx, covariance, e, H, r, np.inf, chi2, kernels.room_for(5)) == 3
     assert x + dx == pytest.approx(joint.x, rel=1e-7, abs=1e-9)
     assert covariance == pytest.approx(joint.P, rel=1e-7, abs=1e-9)
+    assert (covariance == covariance.T).all()
     assert chi2.sum() == pytest.approx(joint.nis, rel=1e-7)
 
 
@@ -114,11 +115,12 @@ def test_the_compiled_prediction_is_the_one_in_matrices(seed):
     Phi[rng.random((5, 5)) < 0.5] = 0.0
     expected = kalman.predict(x, P, Phi, Q)
     state, covariance = np.empty(5), P.copy()
-    kernels.propagate_state(x, Phi, state)
-    kernels.propagate_into(covariance, Phi, Q, covariance, kernels.room_for(5))
+    pattern = kernels.pattern_of(Phi)
+    kernels.propagate_state(x, Phi, pattern, state)
+    kernels.propagate_into(covariance, Phi, Q, covariance, pattern, kernels.room_for(5))
     assert state == pytest.approx(expected.x, rel=1e-10, abs=1e-12)
     assert covariance == pytest.approx(expected.P, rel=1e-10, abs=1e-10)
-    assert (covariance == covariance.T).all()
+    assert covariance == pytest.approx(covariance.T, rel=1e-12, abs=1e-12)
 
 
 def test_the_gate_keeps_a_blunder_out():
@@ -175,6 +177,23 @@ def test_filterpy_filters_the_same(filtered, oracle):
     _, means, covariances, _, _ = oracle
     assert filtered.x == pytest.approx(means, rel=1e-9, abs=1e-9)
     assert pytest.approx(covariances, rel=1e-9, abs=1e-12) == filtered.P
+
+
+def test_without_the_covariances_of_all_epochs_the_states_are_the_same_and_the_last_stays(filtered):
+    _, z, x, P = record(1)
+    given = {"Q": PV.Q, "z": z, "H": SEEN, "r": np.array([2.25])}
+    short = kalman.filter_record(x, P, Phi=PV.Phi, **given, keep_covariances=False)
+    assert (short.x == filtered.x).all()
+    assert (short.x_prior == filtered.x_prior).all()
+    assert (short.nis == filtered.nis).all()
+    assert short.P.shape == short.P_prior.shape == (1, 2, 2)
+    assert (short.P[0] == filtered.P[-1]).all()
+    assert (short.P_prior[0] == filtered.P_prior[-1]).all()
+    with pytest.raises(ShapeError, match="keep_covariances"):
+        kalman.smooth(short, PV.Phi)
+    # Matrices given for each epoch are those given once.
+    every = kalman.filter_record(x, P, Phi=np.tile(PV.Phi, (len(z) - 1, 1, 1)), **given)
+    assert (every.x == filtered.x).all()
 
 
 def test_filterpy_smooths_the_same(filtered, oracle):
