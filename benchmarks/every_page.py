@@ -8,6 +8,7 @@ every map and chart that is in view has drawn its data; a scene is there when it
 
 from __future__ import annotations
 
+import argparse
 import shutil
 import statistics
 import sys
@@ -42,9 +43,13 @@ USABLE = """(() => {
   };
   if (window.top === window) requestAnimationFrame(look);
 })()"""
-# Runs in the viewer's frame: after each of its own frames the canvas still holds what was drawn.
+# Runs in the viewer's frame, whose canvas is told to keep what was drawn until somebody has looked.
 DRAWN = """(() => {
   if (window.top === window) return;
+  const context = HTMLCanvasElement.prototype.getContext;
+  HTMLCanvasElement.prototype.getContext = function (kind, options) {
+    return context.call(this, kind, { ...options, preserveDrawingBuffer: true });
+  };
   const small = new OffscreenCanvas(160, 110).getContext("2d", { willReadFrequently: true });
   const look = () => {
     const canvas = document.querySelector("canvas");
@@ -95,6 +100,9 @@ def places(page: Page, origin: str) -> dict[str, str]:
 
 def main() -> None:
     """Start the demo, wait for its crash, look at everything, print."""
+    asked = argparse.ArgumentParser(description=__doc__)
+    asked.add_argument("--scenes", action="store_true", help="the 3D views alone")
+    only_scenes = asked.parse_args().scenes
     with demo_fleet() as link, sync_playwright() as playwright:
         origin = link.split("/login", maxsplit=1)[0]
         browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=list(FLAGS))
@@ -109,7 +117,7 @@ def main() -> None:
         context.add_init_script(USABLE)
         context.add_init_script(DRAWN)
         print("| page | seconds, the middle of five | slowest |\n|---|---|---|")
-        for kind, paths, mark in (("", PAGES, "usableAt"), ("3D: ", SCENES, "drawnAt")):
+        for kind, paths, mark in (("", () if only_scenes else PAGES, "usableAt"), ("3D: ", SCENES, "drawnAt")):
             for path in paths:
                 found = seconds(context, origin + path.format(**known), mark)
                 print(f"| {kind}{path} | {statistics.median(found):.2f} | {max(found):.2f} |", flush=True)

@@ -98,7 +98,7 @@ def listed(session: Session, organisation_id: str, wanted: Wanted) -> tuple[Sequ
     found = session.scalar(query.with_only_columns(func.count())) or 0
     column = _SORTED[wanted.sort]
     order = (column.desc() if wanted.down else column.asc()).nulls_last()
-    rows = query.order_by(order, Event.at.desc(), Event.id).offset(lists.rows_before(wanted.page, found))
+    rows = query.order_by(order, Event.at.desc(), Event.id).offset(wanted.place(found).before)
     return [Line(event, vehicle, device) for event, vehicle, device in session.execute(rows.limit(lists.PAGE))], found
 
 

@@ -150,7 +150,7 @@ def fleet(session: Session, organisation_id: str, wanted: Wanted, *, now: dt.dat
     """The rows of one page of the list, and the figures around it."""
     everything = _rows(session, organisation_id, now=now)
     rows = listed(session, organisation_id, everything, wanted, now=now)
-    first = lists.rows_before(wanted.page, len(rows))
+    first = wanted.place(len(rows)).before
     shown = rows[first : first + lists.PAGE]
     if wanted.sort not in ("distance", "driving"):
         shown = _with_driving(session, organisation_id, shown, wanted.days, now=now)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 from urllib.parse import urlencode
 
 from sqlalchemy import ColumnElement, func, or_
@@ -12,6 +12,17 @@ from sqlalchemy.orm import InstrumentedAttribute
 from server.models import Device, Vehicle
 
 PAGE = 50
+
+
+class Place(NamedTuple):
+    """Where a page lies in its list."""
+
+    page: int
+    pages: int
+    before: int
+    """Rows before it."""
+    last: int
+    """Number of its last row."""
 
 
 @dataclass(frozen=True)
@@ -37,10 +48,11 @@ class Wanted:
         """Query after a press on a column's head: figures begin with the largest, names with the first."""
         return self.query(sort=sort, down=not self.down if sort == self.sort else sort in self.FALLING)
 
-
-def rows_before(page: int, found: int) -> int:
-    """Rows that stand before a page; the last page where it lies beyond."""
-    return (min(page, max(1, -(-found // PAGE))) - 1) * PAGE
+    def place(self, found: int) -> Place:
+        """Where the page lies when the filters leave so many rows; the last page where it lies beyond."""
+        pages = max(1, -(-found // PAGE))
+        page = min(self.page, pages)
+        return Place(page, pages, (page - 1) * PAGE, min(page * PAGE, found))
 
 
 def named(q: str, *more: InstrumentedAttribute[Any]) -> list[ColumnElement[bool]]:

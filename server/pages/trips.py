@@ -100,7 +100,7 @@ def listed(session: Session, organisation_id: str, wanted: Wanted, per_m: float)
     found = session.scalar(query.with_only_columns(func.count())) or 0
     column = _SORTED[wanted.sort]
     rows = query.order_by(column.desc() if wanted.down else column.asc(), Trip.began_at.desc(), Trip.id)
-    rows = rows.offset(lists.rows_before(wanted.page, found)).limit(lists.PAGE)
+    rows = rows.offset(wanted.place(found).before).limit(lists.PAGE)
     return [Line(trip, device, vehicle) for trip, device, vehicle in session.execute(rows)], found
 
 
