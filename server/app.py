@@ -32,7 +32,7 @@ from server.evidence import routes as evidence
 from server.headers import SecurityHeaders
 from server.ingest import routes as ingest
 from server.installations import routes as installations
-from server.limits import BodyLimit, TokenBuckets
+from server.limits import BodyLimit, NoNul, TokenBuckets
 from server.live import routes as live
 from server.migrations import serves
 from server.operations import routes as operations
@@ -182,6 +182,7 @@ def create_app(settings: Settings, *, clock: Clock = utc_now) -> FastAPI:
         except_paths=frozenset({ingest.PATH, analyses.PATH}),
         larger={workbench_pages.PATH: analyses.MAX_FILE_BYTES + MAX_JSON_BYTES},
     )
+    app.add_middleware(NoNul, except_paths=frozenset({ingest.PATH, analyses.PATH}))
     app.add_middleware(AccessGate)
     app.add_middleware(SecurityHeaders, settings=settings)
     app.add_middleware(RequestTelemetry, telemetry=telemetry)

@@ -24,7 +24,11 @@ def read(body: bytes, *, max_decoded_bytes: int) -> Columns:
     except orjson.JSONDecodeError as error:
         _locate_not_finite(body)
         raise InvalidError(f"Not JSON: {error}", code="json") from None
-    return _columns(document)
+    columns = _columns(document)
+    # All that stands in quotes are the names: one that is there twice was dropped by the parser.
+    if body.count(b'"') != 2 * (len(columns.values) + 1):
+        raise InvalidError('A column, or "columns", is there twice', code="json")
+    return columns
 
 
 def _locate_not_finite(body: bytes) -> None:

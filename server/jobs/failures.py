@@ -99,7 +99,13 @@ class Failing:
     waiting: int
 
 
-def failing(session: Session, *, only_dead: bool = False) -> list[Failing]:
+def count(session: Session, *, only_dead: bool = False) -> int:
+    """How many boxes fail."""
+    query = select(func.count(JobFailure.device_id))
+    return session.scalar(query.where(JobFailure.dead_at.is_not(None)) if only_dead else query) or 0
+
+
+def failing(session: Session, *, only_dead: bool = False, limit: int | None = None) -> list[Failing]:
     """Failing boxes, the longest dead first, and how many batches of each wait."""
     waiting = (
         select(func.count())
@@ -110,5 +116,6 @@ def failing(session: Session, *, only_dead: bool = False) -> list[Failing]:
     query = select(JobFailure, Device.name, waiting).join(Device, Device.id == JobFailure.device_id)
     if only_dead:
         query = query.where(JobFailure.dead_at.is_not(None))
-    rows = session.execute(query.order_by(JobFailure.dead_at.is_(None), JobFailure.first_at, JobFailure.device_id))
+    order = JobFailure.dead_at.is_(None), JobFailure.first_at, JobFailure.device_id
+    rows = session.execute(query.order_by(*order).limit(limit))
     return [Failing(failure, name, count) for failure, name, count in rows]

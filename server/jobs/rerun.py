@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import structlog
-from sqlalchemy import exists, func, insert, or_, select, update
+from sqlalchemy import exists, func, insert, or_, select, tuple_, update
 from sqlalchemy.orm import Session
 
 from nav_core.events.record import ALGORITHM
@@ -321,10 +321,14 @@ def items(session: Session, run_id: str, *, after: int, limit: int) -> list[Reru
     return list(session.scalars(query.order_by(RerunItem.ordinal).limit(limit)))
 
 
-def runs(session: Session, organisation_id: str, *, limit: int = 50) -> list[Rerun]:
-    """The newest runs first."""
+def runs(
+    session: Session, organisation_id: str, *, before: tuple[dt.datetime, str] | None = None, limit: int = 50
+) -> list[Rerun]:
+    """The newest runs first, from after `before` in that order."""
     query = select(Rerun).where(Rerun.organisation_id == organisation_id)
-    return list(session.scalars(query.order_by(Rerun.created_at.desc(), Rerun.id).limit(limit)))
+    if before is not None:
+        query = query.where(tuple_(Rerun.created_at, Rerun.id) < before)
+    return list(session.scalars(query.order_by(Rerun.created_at.desc(), Rerun.id.desc()).limit(limit)))
 
 
 def cancel(session: Session, run_id: str, *, now: dt.datetime) -> None:

@@ -11,7 +11,7 @@ from fastapi import APIRouter, Path, Query, Request
 from server.accounts import audit
 from server.accounts.access import Caller, JobManager, address_of
 from server.database import Database
-from server.edge import DatabaseOf, Now, Wake
+from server.edge import DatabaseOf, Now, Wake, place_of
 from server.errors import NotFoundError
 from server.jobs import failures, remount, rerun
 from server.models import Device, JobFailure, Rerun
@@ -40,11 +40,14 @@ def list_failures(
     caller: JobManager,
     database: DatabaseOf,
     dead: Annotated[bool, Query(description="dead letters alone")] = False,
+    limit: Annotated[int, Query(ge=1, le=500)] = 200,
 ) -> FailureList:
     """Boxes whose work keeps failing, dead letters first; their batches stay due and are not lost."""
     del caller
     with database.reading() as session:
-        return FailureList(items=[failure_out(found) for found in failures.failing(session, only_dead=dead)])
+        found = failures.failing(session, only_dead=dead, limit=limit)
+        total = failures.count(session, only_dead=dead)
+        return FailureList(items=[failure_out(each) for each in found], total=total)
 
 
 @router.post("/jobs/failures/replay")
@@ -97,10 +100,21 @@ def begin_rerun(request: Request, wanted: RerunIn, caller: JobManager, database:
 
 
 @router.get("/reruns")
-def list_reruns(caller: JobManager, database: DatabaseOf) -> RerunList:
-    """The newest runs first."""
+def list_reruns(
+    caller: JobManager,
+    database: DatabaseOf,
+    before: Annotated[str | None, Query(max_length=100)] = None,
+    limit: Annotated[int, Query(ge=1, le=500)] = 50,
+) -> RerunList:
+    """The newest runs first, a page at a time."""
+    place = None if before is None else place_of(before)
     with database.reading() as session:
-        return RerunList(items=[rerun_out(row) for row in rerun.runs(session, caller.organisation_id)])
+        rows = rerun.runs(session, caller.organisation_id, before=place, limit=limit + 1)
+    last = rows[limit - 1] if len(rows) > limit else None
+    return RerunList(
+        items=[rerun_out(row) for row in rows[:limit]],
+        next=None if last is None else f"{last.created_at.isoformat()}~{last.id}",
+    )
 
 
 @router.post("/reruns/mountings", status_code=202)

@@ -29,6 +29,7 @@ class FailureOut(BaseModel):
 
 class FailureList(BaseModel):
     items: list[FailureOut]
+    total: int = Field(description="how many there are, shown or not")
 
 
 class ReplayOut(BaseModel):
@@ -58,6 +59,7 @@ class RerunOut(BaseModel):
 
 class RerunList(BaseModel):
     items: list[RerunOut]
+    next: str | None = Field(description="value of `before` for the next page")
 
 
 class ShiftOut(BaseModel):

@@ -17,9 +17,10 @@ from server.edge import DatabaseOf, Now
 from server.errors import NotFoundError
 from server.ingest.queries import backlog
 from server.installations.service import ALGORITHM, MANUAL_ALGORITHM
-from server.jobs import failures, rerun
+from server.jobs import failures, remount, rerun
 from server.models import Batch, Device, Event, EventRevision, Installation, JobFailure, Rerun, RerunItem, Vehicle
-from server.operations.routes import replay
+from server.operations.routes import ask_for_mountings, replay
+from server.operations.schemas import RerunIn
 from server.pages import queries
 from server.pages.admin import OLD_WORK, outdated
 from server.pages.forms import Text, back
@@ -148,6 +149,7 @@ def version_page(request: Request, caller: JobManager, database: DatabaseOf) -> 
         context = {
             "versions": versions(session, caller.organisation_id),
             "outdated": outdated(session, caller.organisation_id),
+            "mountings": remount.report(session, organisation_id=caller.organisation_id),
             "algorithm": rerun.ALGORITHM,
             "runs": runs,
             "done": {row.rerun_id: row[1] for row in session.execute(done)},
@@ -158,8 +160,13 @@ def version_page(request: Request, caller: JobManager, database: DatabaseOf) -> 
 
 
 @router.post("/versions")
-def begin(request: Request, caller: JobManager, database: DatabaseOf, now: Now, device_id: Text = "") -> Response:
-    """Compute severe events again by this version."""
+def begin(
+    request: Request, caller: JobManager, database: DatabaseOf, now: Now, device_id: Text = "", what: Text = "events"
+) -> Response:
+    """Compute severe events or mountings again by this version."""
+    if what == "mountings":
+        ask_for_mountings(request, RerunIn(device_id=device_id or None), caller, database, now)
+        return back("/admin/versions")
     with database.transaction() as session:
         if device_id and session.get(Device, device_id) is None:
             raise NotFoundError(f"There is no box {device_id!r}")

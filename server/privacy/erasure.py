@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import structlog
-from sqlalchemy import ColumnElement, delete, func, select, update
+from sqlalchemy import ColumnElement, delete, func, select, tuple_, update
 from sqlalchemy.orm import Session
 
 from server.accounts import audit
@@ -101,10 +101,14 @@ def erasure_of(session: Session, organisation_id: str, erasure_id: str) -> Erasu
     return row
 
 
-def erasures(session: Session, organisation_id: str, *, limit: int = 100) -> Sequence[Erasure]:
-    """The newest orders first."""
+def erasures(
+    session: Session, organisation_id: str, *, before: Erasure | None = None, limit: int = 100
+) -> Sequence[Erasure]:
+    """The newest orders first, from after `before` in that order."""
     query = select(Erasure).where(Erasure.organisation_id == organisation_id)
-    return session.scalars(query.order_by(Erasure.requested_at.desc(), Erasure.id).limit(limit)).all()
+    if before is not None:
+        query = query.where(tuple_(Erasure.requested_at, Erasure.id) < (before.requested_at, before.id))
+    return session.scalars(query.order_by(Erasure.requested_at.desc(), Erasure.id.desc()).limit(limit)).all()
 
 
 # --- what there is

@@ -117,10 +117,16 @@ def _order(
 
 
 @router.get("/erasures")
-def list_erasures(caller: PrivacyManager, database: DatabaseOf) -> list[ErasureOut]:
-    """Orders of erasure, the newest first."""
+def list_erasures(
+    caller: PrivacyManager,
+    database: DatabaseOf,
+    before: Annotated[str | None, Query(max_length=32, description="id of the last one of the page before")] = None,
+    limit: Annotated[int, Query(ge=1, le=500)] = 100,
+) -> list[ErasureOut]:
+    """Orders of erasure, the newest first, a page at a time."""
     with database.reading() as session:
-        return [erasure_out(row) for row in erasure.erasures(session, caller.organisation_id)]
+        last = None if before is None else erasure.erasure_of(session, caller.organisation_id, before)
+        return [erasure_out(row) for row in erasure.erasures(session, caller.organisation_id, before=last, limit=limit)]
 
 
 @router.get("/erasures/{erasure_id}")

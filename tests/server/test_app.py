@@ -312,3 +312,29 @@ def test_what_the_state_of_things_forbids_is_described(admin, app, make_device):
     tries = [admin.post("/api/v1/auth/session", json={"code": "x"}) for _ in range(11)]
     assert tries[-1].status_code == 429
     assert "429" in described["/api/v1/auth/session"]["post"]["responses"]
+
+
+@pytest.mark.both_databases
+def test_a_nul_character_is_refused_wherever_it_stands(admin):
+    """PostgreSQL's text holds none; SQLite would store what could then not be moved there."""
+    json_type = {"Content-Type": "application/json; charset=utf-8"}
+    big = b'{"name": "' + b"x" * 150 + b'", "plate": "\\u0000"}'
+
+    def in_pieces():
+        for k in range(0, len(big), 7):
+            yield big[k : k + 7]
+
+    answers = [
+        admin.post("/api/v1/vehicles", json={"name": "a\0b"}),
+        admin.post("/api/v1/vehicles", content=in_pieces(), headers=json_type),
+        admin.get("/api/v1/events", params={"device": "\0"}),
+        admin.get("/api/v1/events/%00"),
+        admin.get("/api/v1/audit", params={"action": "a\0"}),
+        admin.post("/admin/boxes", data={"name": "a\0"}),
+        admin.post("/api/v1/accident-claims", json={"reference": "\0"}),
+    ]
+    for answer in answers:
+        assert answer.status_code == 422, (answer.request.url, answer.text)
+        assert "NUL" in answer.text
+    assert answers[0].json()["code"] == answers[1].json()["code"] == answers[2].json()["code"] == "invalid"
+    assert admin.post("/api/v1/vehicles", json={"name": "a", "plate": "u0000"}).status_code == 201

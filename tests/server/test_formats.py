@@ -202,6 +202,25 @@ def test_json_that_is_no_json_or_too_deep(body):
         decode("application/json", body, max_decoded_bytes=LIMIT)
 
 
+@pytest.mark.parametrize(
+    "body",
+    [
+        b'{"columns": {"t": [1.0], "t": [2.0]}}',
+        b'{"columns": {"t": [1.0], "temp": [2.0], "\\u0074": [3.0]}}',
+        b'{"columns": {"t": [1.0]}, "columns": {"t": [2.0]}}',
+    ],
+)
+def test_json_with_a_column_twice_is_refused(body):
+    with pytest.raises(InvalidError, match="twice") as caught:
+        decode("application/json", body, max_decoded_bytes=LIMIT)
+    assert caught.value.code == "json"
+
+
+def test_json_may_escape_a_name():
+    columns = decode("application/json", b'{"col\\u0075mns": {"\\u0074": [1.0]}}', max_decoded_bytes=LIMIT)
+    assert list(columns.values) == ["t"]
+
+
 def test_json_with_too_many_values_is_refused_before_it_is_parsed():
     body = b'{"columns": {"t": [' + b"0," * (2 * MEGABYTE) + b"0]}}"
     tracemalloc.start()

@@ -204,6 +204,8 @@ def test_a_hold_makes_an_erasure_partial(fleet, admin, vehicle_url):
     assert admin.get("/api/v1/holds").json()[0]["event_id"] == event.id
     log = [(e.action, e.detail) for e in fleet.rows(AuditEntry, AuditEntry.id) if e.action.startswith("hold")]
     assert log == [("hold.placed", {"reason": "claim 17"})]
+    assert admin.get("/api/v1/erasures", params={"before": shown["id"]}).json() == []
+    assert admin.get("/api/v1/erasures", params={"before": "x"}).status_code == 404
     # Once it is over, a further order takes the rest.
     admin.put(f"/api/v1/events/{event.id}/hold", json={"held": False, "reason": "settled"}).raise_for_status()
     admin.post(f"{vehicle_url}/erasure", json={"reason": "again"}).raise_for_status()

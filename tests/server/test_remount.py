@@ -149,3 +149,18 @@ def test_at_the_command_line(world, settings, monkeypatch, capsys):
     assert world.one(Installation).algorithm == NEXT
     assert main(["reprocess", "--mountings"]) == 0
     assert "1 of another version before, 0 wait" in capsys.readouterr().out
+
+
+@pytest.mark.usefixtures("next_version")
+def test_on_the_page(admin, world):
+    page = admin.get("/admin/versions").text
+    assert "1 mounting rests on an older version." in page
+    begun = admin.post("/admin/versions", data={"what": "mountings"})
+    assert (begun.status_code, begun.headers["location"]) == (303, "/admin/versions")
+    assert "1 of them wait to be estimated." in admin.get("/admin/versions").text
+    world.estimator = turned
+    world.bring_up()
+    page = admin.get("/admin/versions").text
+    assert "All mountings rest on this version." in page
+    assert "half by less than 2.00°" in page
+    assert admin.post("/admin/versions", data={"what": "mountings", "device_id": "x"}).status_code == 404

@@ -199,6 +199,12 @@ def test_a_run_over_http(admin, world, events, clock):
     assert admin.post(f"/api/v1/reruns/{run}/cancel").json()["status"] == "cancelled"
     assert not reruns.once(wait=False)
     assert [row["id"] for row in admin.get("/api/v1/reruns").json()["items"]] == [run]
+    clock.advance(minutes=1)
+    later = admin.post("/api/v1/reruns", json={}).json()["id"]
+    first = admin.get("/api/v1/reruns", params={"limit": 1}).json()
+    second = admin.get("/api/v1/reruns", params={"limit": 1, "before": first["next"]}).json()
+    assert [page["items"][0]["id"] for page in (first, second)] == [later, run]
+    assert second["next"] is None
     assert admin.post("/api/v1/reruns", json={"device_id": "x"}).status_code == 404
     assert admin.get("/api/v1/reruns/none").status_code == 404
 
