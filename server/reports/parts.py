@@ -5,11 +5,13 @@ from __future__ import annotations
 import datetime as dt
 import html
 import math
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 from reportlab.lib.styles import ParagraphStyle
 from reportlab.platypus import Flowable, Paragraph, Table, TableStyle
 
+from server.events.exports import utc_sigma_s
 from server.reports.figures import basis_rows, clock_time, hours, number_rows, risk_rows
 from server.reports.paper import (
     ACCENT,
@@ -37,7 +39,8 @@ CELL = ParagraphStyle("cell", fontName=PLAIN, fontSize=8.5, leading=11, textColo
 HEAD = ParagraphStyle("head", fontName=PLAIN, fontSize=7.5, leading=10, textColor=MUTED)
 HASH = ParagraphStyle("hash", fontName=MONO, fontSize=6.2, leading=8, textColor=INK, splitLongWords=1)
 BIG = ParagraphStyle("big", fontName=BOLD, fontSize=17, leading=21, textColor=INK)
-MAX_LINKS = 12
+LINKS = (12, 6, 3)
+"""So many uploads are listed: the first of these that the report has room for."""
 
 _RULED = TableStyle(
     [
@@ -204,10 +207,13 @@ def speed_plot(way: dict[str, Any], words: Words, width: float) -> Flowable:
 def maps(document: dict[str, Any], words: Words, width: float) -> tuple[Table, str]:
     """The whole way, and the place of the impact close up."""
     way, event = document["curves"]["trajectory"], document["event"]
-    rest = None if event["rest"] is None else {**event["rest"], "t0_s": event["t0_s"]}
+    rest = None if event["rest"] is None else event["rest"]["t_s"] - event["t0_s"]
+    others = [each["t0_s"] - event["t0_s"] for each in event["second_impacts"]]
     half = 0.5 * width - 5
-    whole = WayMap(way, words, half, 235, title=words("map_all"), span_s=(-30.0, 30.0), rest=rest)
-    near = WayMap(way, words, half, 235, title=words("map_near"), span_s=(-3.0, 8.0), rest=rest)
+    whole, near = (
+        WayMap(way, words, half, 235, title=words(title), span_s=span_s, rest=rest, others=others)
+        for title, span_s in (("map_all", (-30.0, 30.0)), ("map_near", (-3.0, 8.0)))
+    )
     table = Table([[whole, near]], colWidths=[half + 10, half])
     table.setStyle(TableStyle([("LEFTPADDING", (0, 0), (-1, -1), 0), ("RIGHTPADDING", (0, 0), (-1, -1), 0)]))
     return table, words("map_note", grid=f"{words.short(whole.grid)}; {words.short(near.grid)}")
@@ -239,7 +245,9 @@ def driver_tables(event: dict[str, Any], words: Words, width: float) -> list[Flo
     return [table([heads, *rows], (0.2,) * 5, width), pairs(facts, width)]
 
 
-def provenance_tables(document: dict[str, Any], event_sha256: str, words: Words, width: float) -> list[Flowable]:
+def provenance_tables(
+    document: dict[str, Any], event_sha256: str, words: Words, width: float, links: int
+) -> list[Flowable]:
     """Versions and hashes."""
     inputs, software = document["inputs"], document["software"]
     clock, mounting = inputs["clock"], inputs["mounting"]
@@ -250,14 +258,14 @@ def provenance_tables(document: dict[str, Any], event_sha256: str, words: Words,
         (words("p_event"), Paragraph(event_sha256, HASH)),
         (words("p_inputs"), Paragraph(inputs["sha256"], HASH)),
         (words("p_mounting"), f"{mounting['method']} · {mounting['algorithm'] or words('not_recorded')}"),
-        (words("p_clock"), words(how, s=words.spread(clock["utc_sigma_s"]))),
+        (words("p_clock"), words(how, s=words.spread(utc_sigma_s(document)))),
     ]
     heads: list[Any] = [words(key) for key in ("p_link", "p_stream", "p_span", "p_body", "p_columns")]
     # The batches that hold time zero are never among those left out.
     t0 = document["event"]["t0_s"]
     ranked = sorted(inputs["batches"], key=lambda b: max(b["t_first_s"] - t0, t0 - b["t_last_s"]))
-    shown = sorted(ranked[:MAX_LINKS], key=lambda b: b["chain_index"])
-    links = [
+    shown = sorted(ranked[:links], key=lambda b: b["chain_index"])
+    listed = [
         [
             str(batch["chain_index"]),
             words(batch["stream"]),
@@ -267,7 +275,7 @@ def provenance_tables(document: dict[str, Any], event_sha256: str, words: Words,
         ]
         for batch in shown
     ]
-    found: list[Flowable] = [pairs(rows, width), table([heads, *links], (0.08, 0.12, 0.18, 0.31, 0.31), width)]
+    found: list[Flowable] = [pairs(rows, width), table([heads, *listed], (0.08, 0.12, 0.18, 0.31, 0.31), width)]
     left = len(inputs["batches"]) - len(shown)
     if left:
         found.append(Paragraph(words("link_more", n=left), HEAD))
@@ -283,7 +291,11 @@ def numbers_table(event: dict[str, Any], words: Words, width: float) -> Table:
 def risk_table(event: dict[str, Any], words: Words, width: float) -> Table:
     """Probabilities by published curves."""
     heads = [words(key) for key in ("r_curve", "r_people", "r_level", "r_p", "n_interval")]
-    return table([heads, *map(list, risk_rows(event, words))], (0.22, 0.42, 0.1, 0.11, 0.15), width)
+    rows = [list(row) for row in risk_rows(event, words)]
+    for above, row in reversed(list(pairwise(rows))):
+        # Whom several curves are of is said once.
+        row[1] = "" if row[1] == above[1] else row[1]
+    return table([heads, *rows], (0.22, 0.42, 0.1, 0.11, 0.15), width)
 
 
 def basis_table(document: dict[str, Any], words: Words, width: float) -> Table:
