@@ -64,10 +64,10 @@ def report_pdf(
     """
     load_fonts()
     # The archive of evidence has all uploads; the report as many as leave it short.
-    for links in parts.LINKS:
-        content, pages = _built(document, heading, Words(language), contradictions, links)
-        if pages <= MOST_PAGES:
-            break
+    most, *fewer = parts.LINKS
+    content, pages = _built(document, heading, Words(language), contradictions, most)
+    while pages > MOST_PAGES and fewer:
+        content, pages = _built(document, heading, Words(language), contradictions, fewer.pop(0))
     return content
 
 
