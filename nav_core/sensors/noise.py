@@ -1,6 +1,9 @@
 """Noise of inertial and magnetic sensors: coefficients, and samples that have them (002 ch. 5).
 
 Units: with readings in a unit u (rad/s, m/s², µT), N is in u/√Hz, B in u, K in u√Hz and Q in u s.
+
+Parts of scipy that bring much and serve one function (signal, optimize, interpolate) are imported there: together they
+would double the time that a process needs to start.
 """
 
 from __future__ import annotations
@@ -9,7 +12,6 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len
-from scipy.signal import lfilter
 
 from nav_core.errors import RangeError
 from nav_core.processes import gauss_markov_discrete
@@ -178,6 +180,8 @@ def flicker(count: int, rng: np.random.Generator) -> Floats:
 def _driven_bias(K: float, count: int, rate: float, correlation_time: float, rng: np.random.Generator) -> Floats:
     if np.isinf(correlation_time):
         return K / np.sqrt(rate) * np.cumsum(rng.standard_normal(count))
+    from scipy.signal import lfilter
+
     sigma = K * np.sqrt(0.5 * correlation_time)
     step = gauss_markov_discrete(sigma, correlation_time, 1.0 / rate)
     drive = np.sqrt(step.Q[0, 0]) * rng.standard_normal(count)

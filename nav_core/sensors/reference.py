@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.interpolate import make_smoothing_spline
 
 from nav_core.attitude.euler_rates import body_rate
 from nav_core.errors import OrderError, PosesError, ShapeError, TooLittleDataError
@@ -154,6 +153,8 @@ def reference_rates(t: Floats, euler: Floats, *, smoothing: float | None = None)
     ------
     ShapeError, OrderError, TooLittleDataError
     """
+    from scipy.interpolate import make_smoothing_spline
+
     t, angles = np.asarray(t, dtype=np.float64), trailing("euler", euler, 3)
     if angles.shape != (t.size, 3):
         raise ShapeError("euler", angles.shape, f"({t.size}, 3)")

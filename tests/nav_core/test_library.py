@@ -49,6 +49,16 @@ def test_the_whole_library_needs_only_the_base_dependencies():
     assert run.stdout.strip() == ""
 
 
+def test_filters_do_not_load_what_serves_others():
+    """Parts of scipy that would double the time a process needs to start."""
+    code = (
+        "import sys, nav_core.attitude, nav_core.navigation, nav_core.sensors\n"
+        "print(*sorted({'scipy.signal', 'scipy.stats', 'scipy.optimize', 'scipy.interpolate'} & set(sys.modules)))\n"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stdout.strip() == ""
+
+
 def test_the_example_of_the_readme_runs(capsys):
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     (example,) = re.findall(r"```python\n(.*?)```", readme, flags=re.DOTALL)
