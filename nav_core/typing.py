@@ -8,7 +8,7 @@ from typing import ParamSpec, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from nav_core.errors import ShapeError
+from nav_core.errors import NotFiniteError, ShapeError
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -64,3 +64,29 @@ def trailing(name: str, values: Floats, *axes: int) -> Floats:
     if array.shape[array.ndim - len(axes) :] != axes or array.ndim < len(axes):
         raise ShapeError(name, array.shape, f"(..., {', '.join(map(str, axes))})")
     return array
+
+
+def finite(name: str, values: Floats) -> Floats:
+    """`values` where all of them are numbers; else `NotFiniteError` under this name.
+
+    Parameters
+    ----------
+    name : str
+        What they are, for the error.
+    values : ndarray, shape (n, ...)
+        In any unit.
+
+    Returns
+    -------
+    ndarray, shape (n, ...)
+        The same array.
+
+    Raises
+    ------
+    NotFiniteError
+        With the first index along the first axis.
+    """
+    good = np.isfinite(values)
+    if not good.all():
+        raise NotFiniteError(name, int(np.argwhere(~good)[0][0]))
+    return values

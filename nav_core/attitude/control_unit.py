@@ -18,7 +18,7 @@ from nav_core.attitude.quaternion_ekf import QuaternionState, correct, nearest, 
 from nav_core.attitude.vertical import force_at_rest
 from nav_core.errors import RangeError, ShapeError
 from nav_core.rotation import matrix_to_quaternion, quaternion_to_euler, wrap
-from nav_core.typing import Floats
+from nav_core.typing import Floats, finite
 
 Mode = Literal["alignment", "gps", "no_gps"]
 Action = Literal["start", "update", "reset", "rejected"]
@@ -202,7 +202,7 @@ def run_controlled(
 
     Raises
     ------
-    ShapeError
+    ShapeError, NotFiniteError
     RangeError
         The control's period is shorter than the samples'.
     """
@@ -210,9 +210,10 @@ def run_controlled(
     n = w.shape[0]
     blank = np.full(n, np.nan)
     record = _Record(f, w, m, blank if speed is None else speed, blank if speed_rate is None else speed_rate)
-    for name, values in zip(("f", "m"), (f, m), strict=True):
+    for name, values in zip(("f", "w", "m"), (f, w, m), strict=True):
         if values.shape != (n, 3):
             raise ShapeError(name, values.shape, f"({n}, 3)")
+        finite(name, values)
     every = round(control.period / period)
     if every < 1:
         raise RangeError("period of the control unit", control.period, f"at least {period:g} s")

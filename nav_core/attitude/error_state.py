@@ -17,7 +17,7 @@ import numpy as np
 from nav_core.attitude.error_state_kernel import run
 from nav_core.errors import RangeError, ShapeError
 from nav_core.rotation import normalised, skew
-from nav_core.typing import Floats, Integers, trailing
+from nav_core.typing import Floats, Integers, finite, trailing
 
 Discretisation = Literal["exact", "approximate"]
 
@@ -261,6 +261,8 @@ def estimate(
     ------
     ShapeError
         An array does not fit `w`.
+    NotFiniteError
+        A rate is missing: the attitude cannot be carried over it.
     RangeError
         The period or a sigma is not positive.
 
@@ -272,7 +274,7 @@ def estimate(
     w = np.ascontiguousarray(w, dtype=np.float64)
     if w.ndim != 2 or w.shape[1] != 3:
         raise ShapeError("w", w.shape, "(n, 3)")
-    n = w.shape[0]
+    n = finite("w", w).shape[0]
     _positive("period", period)
     P = np.array(start.P, dtype=np.float64)
     if P.shape != (6, 6):

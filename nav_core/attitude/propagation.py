@@ -14,7 +14,7 @@ import numpy as np
 from nav_core.attitude.kernels import multiply, normalise, quaternion_of
 from nav_core.errors import RangeError, ShapeError
 from nav_core.rotation import normalised
-from nav_core.typing import Floats, kernel, trailing
+from nav_core.typing import Floats, finite, kernel, trailing
 
 Normalisation = Literal["exact", "series", "feedback"]
 
@@ -176,7 +176,7 @@ def _rows(name: str, values: Floats) -> Floats:
     array = np.ascontiguousarray(values, dtype=np.float64)
     if array.ndim != 2 or array.shape[1] != 3:
         raise ShapeError(name, array.shape, "(n, 3)")
-    return array
+    return finite(name, array)
 
 
 def _halves(name: str, values: Floats) -> Floats:

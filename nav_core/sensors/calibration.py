@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import ndtri, stdtrit
 
-from nav_core.errors import NotFiniteError, PosesError, RangeError, ShapeError
-from nav_core.typing import Floats
+from nav_core.errors import PosesError, RangeError, ShapeError
+from nav_core.typing import Floats, finite
 
 WORST_CONDITION = 200.0
 """Condition number beyond which poses are refused.  Poses all over the sphere reach 2 to 30, a hemisphere 20; tilts
@@ -18,6 +18,11 @@ up to 60° alone 140, up to 45° 500, and turning about one axis alone has no en
 
 FLAT = 0.05
 """Least thickness of the cloud of readings over its width: a band of ±4° about a great circle."""
+
+LEAST_REACH = 0.05
+"""Least mean square of the corrected directions along any axis.  All over the sphere it is a third, in a band of ±23°
+about a great circle this.  Noise alone would allow thinner bands, but a magnitude that is wrong by a share of itself,
+as a field between houses is, makes the scale across the band wrong by that share over this number."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,10 +188,7 @@ def check_readings(name: str, readings: Floats) -> Floats:
     values = np.asarray(readings, dtype=np.float64)
     if values.ndim != 2 or values.shape[1] != 3:
         raise ShapeError(name, values.shape, "(n, 3)")
-    bad = ~np.isfinite(values).all(axis=1)
-    if bad.any():
-        raise NotFiniteError(name, int(np.argmax(bad)))
-    return values
+    return finite(name, values)
 
 
 def check_spread(readings: Floats, needed: int) -> None:
@@ -211,6 +213,29 @@ def check_spread(readings: Floats, needed: int) -> None:
             f"they are coplanar (thickness {width[2] / max(width[0], 1e-300):.2g} of the width); turn the box about "
             "a second axis as well",
             len(readings),
+            np.inf,
+        )
+
+
+def check_reach(directions: Floats) -> None:
+    """Refuse a solution whose directions keep to a band about a plane: what it says across the band is extrapolated.
+
+    Parameters
+    ----------
+    directions : ndarray, shape (n, 3)
+        Corrected readings of unit length, axes of the truth.
+
+    Raises
+    ------
+    PosesError
+    """
+    squares, axes = np.linalg.eigh(directions.T @ directions / len(directions))
+    if squares[0] < LEAST_REACH:
+        across = axes[:, 0] * np.sign(axes[np.argmax(np.abs(axes[:, 0])), 0])
+        raise PosesError(
+            f"they are almost coplanar ({squares[0]:.2g} of the mean square lies across, {LEAST_REACH:g} is needed); "
+            f"nothing reaches along the direction ({', '.join(f'{part:.2f}' for part in across)})",
+            len(directions),
             np.inf,
         )
 

@@ -11,6 +11,7 @@ from nav_core.errors import PosesError, RangeError, ShapeError
 from nav_core.sensors.calibration import (
     Calibration,
     Poses,
+    check_reach,
     check_readings,
     check_spread,
     levenberg_marquardt,
@@ -114,13 +115,16 @@ def calibrate_positions(
     )
     to_units = np.concatenate((np.ones(3), np.full(6, 1.0 / unit)))
     gain, bias = parameters.gain(minimum.x[3:]) / unit, minimum.x[:3] + middle
+    corrected = np.linalg.solve(gain, (v - bias).T)
+    length = np.linalg.norm(corrected, axis=0)
+    check_reach((corrected / length).T)
     return Calibration(
         parameters.names,
         np.concatenate((bias, parameters.of(gain))),
         to_units[:, None] * covariance * to_units,
         gain,
         bias,
-        np.linalg.norm(np.linalg.solve(gain, (v - bias).T), axis=0) - size,
+        length - size,
         freedom,
         Poses(len(v), 9, condition),
         minimum.iterations,

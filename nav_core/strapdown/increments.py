@@ -12,7 +12,7 @@ import numpy as np
 
 from nav_core.attitude.kernels import cross, total
 from nav_core.errors import OrderError, RangeError, ShapeError, TooLittleDataError
-from nav_core.typing import Floats, kernel
+from nav_core.typing import Floats, finite, kernel
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +39,7 @@ class Increments:
             shape = getattr(self, name).shape
             if shape != (self.t.size - 1, 3):
                 raise ShapeError(f"increments.{name}", shape, f"({self.t.size - 1}, 3)")
+            finite(f"increments.{name}", getattr(self, name))
 
     @property
     def periods(self) -> Floats:
@@ -63,7 +64,7 @@ def from_rates(t: Floats, w: Floats, f: Floats) -> Increments:
 
     Raises
     ------
-    ShapeError, OrderError, TooLittleDataError
+    ShapeError, NotFiniteError, OrderError, TooLittleDataError
     """
     w, f, t = _readings("w", w, t, 0), _readings("f", f, t, 0), _check_times(t)
     T = np.diff(t)[:, None]
@@ -93,7 +94,7 @@ def from_integrals(t: Floats, angle: Floats, thrust: Floats, *, per_interval: in
 
     Raises
     ------
-    ShapeError, OrderError, RangeError, TooLittleDataError
+    ShapeError, NotFiniteError, OrderError, RangeError, TooLittleDataError
 
     Notes
     -----
@@ -183,4 +184,4 @@ def _readings(name: str, values: Floats, t: Floats, fewer: int) -> Floats:
     array = np.ascontiguousarray(values, dtype=np.float64)
     if array.shape != (np.size(t) - fewer, 3):
         raise ShapeError(name, array.shape, f"({np.size(t) - fewer}, 3)")
-    return array
+    return finite(name, array)

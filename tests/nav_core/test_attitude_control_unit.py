@@ -14,7 +14,7 @@ from nav_core.attitude import control_unit, quaternion_ekf
 from nav_core.attitude.control_unit import TABLE_7_3, Control, Surroundings, measurement_variance, run_controlled
 from nav_core.attitude.quaternion_ekf import QuaternionState
 from nav_core.attitude.vertical import force_at_rest, speed_and_rate, vehicle_acceleration
-from nav_core.errors import RangeError, ShapeError
+from nav_core.errors import NotFiniteError, RangeError, ShapeError
 from nav_core.kalman import jacobian
 from nav_core.rotation import (
     euler_to_matrix,
@@ -212,6 +212,8 @@ def test_the_control_units_input_is_checked():
     _, f, w, m, *_ = drive()
     with pytest.raises(ShapeError, match="m has shape"):
         run_controlled(f, w, m[1:], 0.02, PLACE)
+    with pytest.raises(NotFiniteError, match="w is not finite at index 7"):
+        run_controlled(f, np.where(np.arange(len(w))[:, None] == 7, np.nan, w), m, 0.02, PLACE)
     with pytest.raises(RangeError, match="control unit"):
         run_controlled(f, w, m, 0.02, PLACE, control=Control(period=0.001))
     with pytest.raises(RangeError, match="duration"):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -264,6 +266,31 @@ def test_poses_that_leave_parameters_open_are_refused_by_name():
     assert error.condition > 200.0
     small = np.array([d for d in directions(400, rng) if d[2] > 0.85])
     refused(G * small + 1e-3 * rng.standard_normal(small.shape))
+
+
+def within(degrees, count, rng):
+    """Directions no farther than this from the plane of x and y."""
+    u = directions(20 * count, rng)
+    return u[np.abs(u[:, 2]) < np.sin(np.radians(degrees))][:count]
+
+
+def test_a_band_about_a_plane_is_refused_with_the_direction_that_is_missing():
+    # Far beyond the noise: the sphere's third axis is what the readings never come near.
+    rng = np.random.default_rng(70)
+    narrow = within(15.0, 300, rng)
+    assert "(0.00, 0.00, 1.00)" in refused(G * narrow + 1e-3 * rng.standard_normal(narrow.shape)).reason
+    wide = within(30.0, 300, rng)
+    found = calibrate_positions(G * wide + 1e-3 * rng.standard_normal(wide.shape), G)
+    np.testing.assert_allclose(found.gain, np.eye(3), atol=1e-3)
+
+
+def test_a_magnetometer_that_only_circled_on_the_level_is_refused():
+    # Iron of the street bends the circle by more than the noise; a fit of it says 0.24 of the vertical scale.
+    path = folder("northeastern-vn100-circles") / "circle_data_0_imu.csv"
+    with path.open(newline="", encoding="utf-8") as file:
+        rows = [row[8:11] for row in csv.reader(file) if len(row) > 10][1:]
+    with pytest.raises(PosesError, match="coplanar"):
+        calibrate_field(1e6 * np.array(rows, dtype=np.float64), 51.22)
 
 
 def test_readings_on_no_ellipsoid_are_refused():

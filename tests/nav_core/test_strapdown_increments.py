@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from nav_core.errors import OrderError, RangeError, ShapeError, TooLittleDataError
+from nav_core.errors import NotFiniteError, OrderError, RangeError, ShapeError, TooLittleDataError
 from nav_core.rotation import angle_between, rotvec_to_matrix
 from nav_core.strapdown import Increments, from_integrals, from_rates
 from nav_core.strapdown.increments import gather
@@ -170,3 +170,7 @@ def test_what_makes_no_increments_is_refused():
         from_integrals(np.arange(4.0), w, w, per_interval=0)
     with pytest.raises(ShapeError):
         Increments(np.arange(3.0), np.zeros((3, 3)), np.zeros((2, 3)))
+    with pytest.raises(NotFiniteError, match="f is not finite at index 1"):
+        from_rates(np.arange(3.0), w, np.where(np.arange(3)[:, None] == 1, np.nan, w))
+    with pytest.raises(NotFiniteError, match="rotation"):
+        Increments(np.arange(4.0), np.full((3, 3), np.inf), w)
