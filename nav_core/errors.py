@@ -8,6 +8,7 @@
     ├── OrderError          times do not increase
     ├── RangeError          a value lies outside what has a meaning
     ├── TooLittleDataError  fewer samples than the method needs
+    ├── ConstantError       samples that do not change, where their noise is asked for
     ├── PosesError          the poses of a calibration do not determine its parameters
     ├── CovarianceError     a covariance is not positive definite
     ├── GeometryError       the satellites do not span the unknowns
@@ -59,6 +60,14 @@ class TooLittleDataError(NavigationError):
     def __init__(self, name: str, count: int, needed: int) -> None:
         self.name, self.count, self.needed = name, count, needed
         super().__init__(f"{name}: {count} samples, at least {needed} needed")
+
+
+class ConstantError(NavigationError):
+    """Samples that do not change, where their noise is asked for."""
+
+    def __init__(self, name: str, factor: int) -> None:
+        self.name, self.factor = name, factor
+        super().__init__(f"{name} repeats itself: all means over {factor} samples are alike, and no noise shows")
 
 
 class PosesError(NavigationError):

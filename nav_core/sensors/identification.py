@@ -12,10 +12,9 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from scipy.optimize import nnls
 from scipy.special import chdtrc, chdtri, ndtri
 
-from nav_core.errors import RangeError, TooLittleDataError
+from nav_core.errors import ConstantError, RangeError, TooLittleDataError
 from nav_core.sensors.allan import AllanDeviation, allan_deviation, cluster_factors
 from nav_core.sensors.noise import NoiseCoefficients
 from nav_core.typing import Floats, Integers
@@ -25,6 +24,9 @@ TERMS = NoiseCoefficients._fields
 UNLIKELY = 1e-4
 """Probability below which a curve is not that of the model.  Values of few long clusters are far from Gaussian, so
 this is far from the usual 5 %."""
+
+LEAST_SAMPLES = 256
+"""Fewer samples tell no coefficients."""
 
 _GRAIN = 16
 """Lags to the shorter cluster at which the covariance function is taken about its bends."""
@@ -47,8 +49,9 @@ class NoiseFit:
         Equivalent degrees of freedom of the curve's values, for noise of these coefficients.
     likelihood : float
         Probability of a curve at least this far from the fitted one, 0..1.  Below `UNLIKELY` the noise is not of these
-        terms, as behind a low-pass filter that reaches into the sampled band, or the sensor was disturbed; the
-        intervals are then widened by the root of the misfit per redundant octave.
+        terms, as behind a low-pass filter that reaches into the sampled band, or the sensor was disturbed.  Then the
+        model is allowed to err by the same share of itself at all cluster times, as large as the misfit demands: else
+        the shortest, of which most is known, would decide alone.
     """
 
     coefficients: NoiseCoefficients
@@ -89,7 +92,9 @@ def identify(x: Floats, rate: float, *, terms: str = "NBK", level: float = 0.95,
     RangeError
         Unknown terms, or a level outside 0..1.
     TooLittleDataError
-        Fewer than 256 samples, or too few octaves beyond `shortest`.
+        Fewer than `LEAST_SAMPLES`, or too few octaves beyond `shortest`.
+    ConstantError
+        Samples that never change, or repeat themselves exactly.
     ShapeError, NotFiniteError
         As `allan_deviation`.
 
@@ -105,19 +110,21 @@ def identify(x: Floats, rate: float, *, terms: str = "NBK", level: float = 0.95,
         raise RangeError("level", level, "0..1")
     x = np.asarray(x, dtype=np.float64)
     curve = allan_deviation(x, rate)
-    if curve.samples < 256:
-        raise TooLittleDataError("x", curve.samples, 256)
+    if curve.samples < LEAST_SAMPLES:
+        raise TooLittleDataError("x", curve.samples, LEAST_SAMPLES)
     chosen = "".join(name for name in TERMS if name in terms)
     factor = cluster_factors(curve.samples, per_octave=1, pairs=4)
     factor = factor[factor >= shortest * rate * (1.0 - 1e-9)]
     if factor.size <= len(chosen):
-        raise TooLittleDataError("octaves of cluster time", int(factor.size), len(chosen) + 1)
+        name = f"octaves of cluster time from {shortest:g} s on" if shortest > 0.0 else "octaves of cluster time"
+        raise TooLittleDataError(name, int(factor.size), len(chosen) + 1)
     variance = curve.sigma[np.searchsorted(curve.factor, factor)] ** 2
+    if not variance.min() > 0.0:
+        raise ConstantError("x", int(factor[np.argmin(variance)]))
     squares, spread, misfit = _least_squares(factor, curve.samples, variance, chosen)
     likelihood = float(chdtrc(factor.size - len(chosen), misfit))
     if likelihood < UNLIKELY:
-        # The model is not the truth: the misfit, and not the noise alone, says how well the coefficients are known.
-        spread *= np.sqrt(misfit / (factor.size - len(chosen)))
+        squares, spread = _inadequate(factor, curve.samples, variance, chosen)
     # From per-sample units, in which the covariance is tabulated, to seconds.
     unit = np.array([{"N": 1.0 / rate, "B": 1.0, "K": rate, "Q": 1.0 / rate**2}[name] for name in chosen])
     low, high = _interval(squares, spread, level)
@@ -187,14 +194,30 @@ def confidence(curve: AllanDeviation, freedom: Floats, level: float = 0.95) -> t
     return low, curve.sigma * np.sqrt(freedom / chdtri(freedom, 1.0 - tail))
 
 
-def _least_squares(factor: Integers, samples: int, variance: Floats, terms: str) -> tuple[Floats, Floats, float]:
-    """Squares of the coefficients in per-sample units, their standard deviations, and the weighted misfit."""
+def _inadequate(factor: Integers, samples: int, variance: Floats, terms: str) -> tuple[Floats, Floats]:
+    """Fit of a model that is not the truth: the share of itself by which it errs brings the misfit to its freedom."""
+    freedom, low, high = factor.size - len(terms), 1e-3, 1.0
+    for _ in range(20):
+        share = np.sqrt(low * high)
+        squares, spread, misfit = _least_squares(factor, samples, variance, terms, share)
+        low, high = (share, high) if misfit > freedom else (low, share)
+    return squares, spread
+
+
+def _least_squares(
+    factor: Integers, samples: int, variance: Floats, terms: str, share: float = 0.0
+) -> tuple[Floats, Floats, float]:
+    """Squares of the coefficients in per-sample units, their standard deviations, and the weighted misfit.
+
+    `share` of itself is what the model may err by at each cluster time, besides the noise of the curve.
+    """
     A, table = _design(factor, terms), _covariances(tuple(factor.tolist()), samples, terms)
     whitened = np.column_stack((A / variance[:, None], np.ones(variance.size)))
     squares = _nonnegative(whitened[:, :-1], whitened[:, -1])
     for step in range(50):
         C = np.einsum("a,b,abij->ij", squares, squares, table)
         C[np.diag_indices_from(C)] *= 1.0 + 1e-9
+        C[np.diag_indices_from(C)] += (share * (A @ squares)) ** 2
         whitened = np.linalg.solve(np.linalg.cholesky(C), np.column_stack((A, variance)))
         found = _nonnegative(whitened[:, :-1], whitened[:, -1])
         size = np.linalg.norm(whitened[:, :-1], axis=0)
@@ -209,6 +232,8 @@ def _least_squares(factor: Integers, samples: int, variance: Floats, terms: str)
 
 
 def _nonnegative(A: Floats, y: Floats) -> Floats:
+    from scipy.optimize import nnls
+
     size = np.linalg.norm(A, axis=0)
     return np.asarray(nnls(A / size, y)[0]) / size
 

@@ -20,8 +20,9 @@ def allan(args: argparse.Namespace) -> int:
     from server.analyses.compute.allan import allan as fitted
     from server.formats.drive import read_drive_columns
 
+    recording = read_drive_columns(args.file)
     found = fitted(
-        read_drive_columns(args.file),
+        recording,
         str(args.file),
         terms=args.terms.upper(),
         rate=args.rate,
@@ -29,6 +30,7 @@ def allan(args: argparse.Namespace) -> int:
         progress=lambda text, _: progress(text),
     )
     progress("")
+    found.document["quality"][:0] = [remark.detail for remark in recording.remarks]
     if args.plot is not None:
         _plot(args.plot, found.fits)
     print(json.dumps(found.document) if args.json else _in_words(found.document))
@@ -53,11 +55,13 @@ def _plot(path: Path, fits: dict[str, tuple[str, NoiseFit]]) -> None:
 
     from server.analyses.compute.triads import TRIADS, UNITS
 
-    sensors = [sensor for sensor, names in TRIADS.items() if names[0] in fits]
+    sensors = [sensor for sensor, names in TRIADS.items() if set(names) & set(fits)]
     figure = Figure(figsize=(6.5 * len(sensors), 5.0), layout="constrained")
     panels = figure.subplots(1, len(sensors), squeeze=False)[0]
     for sensor, panel in zip(sensors, panels, strict=True):
         for number, name in enumerate(TRIADS[sensor]):
+            if name not in fits:
+                continue
             fit = fits[name][1]
             low, high = fit.band()
             panel.loglog(fit.curve.tau, fit.curve.sigma, color=f"C{number}", label=name)

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nav_core.errors import NotFiniteError, RangeError, ShapeError, TooLittleDataError
+from nav_core.errors import ConstantError, NotFiniteError, RangeError, ShapeError, TooLittleDataError
 from nav_core.sensors import (
     HMC5883L,
     MPU6050_ACCELEROMETER,
@@ -285,6 +285,23 @@ def test_a_curve_of_other_terms_is_found_out_and_the_filtered_part_left_out():
         identify(smooth, 100.0, shortest=50.0)
 
 
+def test_a_line_at_a_high_frequency_does_not_spoil_the_fit_of_the_rest():
+    # Of the shortest cluster times so much is known that they alone would decide: N would come out a fifth too large.
+    rng = np.random.default_rng(17)
+    t = np.arange(60_000) / 100.0
+    shaken = simulate_noise(NoiseCoefficients(N=1.0), t.size, 100.0, rng) + 8.0 * np.sin(2.0 * np.pi * 37.0 * t)
+    fit = identify(shaken, 100.0)
+    assert fit.likelihood < 1e-4
+    assert pytest.approx(1.0, rel=0.1) == fit.coefficients.N
+    assert fit.low.N < 1.0 < fit.high.N
+
+
+@pytest.mark.parametrize("pattern", [[0.3], [0.0, 1.0], [0.0, 1.0, 2.0, 1.0]])
+def test_samples_that_repeat_themselves_show_no_noise(pattern):
+    with pytest.raises(ConstantError, match="repeats itself"):
+        identify(np.tile(pattern, 400), 100.0)
+
+
 def test_a_right_model_is_likely():
     fits = runs(MPU6050_GYRO[0], 60, rate=2.0, seconds=FOUR_HOURS, seed=16)
     likelihood = np.array([fit.likelihood for fit in fits])
@@ -314,3 +331,5 @@ def test_a_real_mpu6050_gyro_at_one_second(axis, noted):
     rate = np.loadtxt(path, delimiter=",", skiprows=1)[:, axis]
     curve = allan_deviation(rate, 99.32, factors=np.array([99]))
     assert curve.sigma[0] == pytest.approx(noted, rel=0.1)
+    # White noise up to a second; the z axis is no sum of the terms.
+    assert pytest.approx(noted, rel=0.1) == identify(rate, 99.32).coefficients.N

@@ -7,8 +7,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from nav_core.errors import ConstantError
 from nav_core.sensors import NoiseFit, identify
-from nav_core.sensors.identification import UNLIKELY
+from nav_core.sensors.identification import LEAST_SAMPLES, UNLIKELY
 from server.analyses.compute.triads import TRIADS, UNITS, Triad, triads_of
 from server.formats.columns import Columns
 from server.formats.drive import DriveFileError
@@ -32,12 +33,12 @@ def allan(
     shortest: float = 0.0,
     progress: Callable[[str, float], None],
 ) -> Fitted:
-    """Fit every axis that has samples.
+    """Fit every axis that has samples which change; one that does not is remarked.
 
     `rate` (Hz) takes the samples as regular whatever their stamps say; `shortest` (s) leaves out the cluster times
     below it; `progress` is told of each column and how far this is, 0..1.
     """
-    triads = triads_of(recording)
+    triads = triads_of(recording, as_stored=rate is not None)
     if not triads:
         raise DriveFileError(f"{name}: none of the columns f*, w*, m* has samples")
     quality: list[str] = []
@@ -47,13 +48,19 @@ def allan(
         for axis, column_name in enumerate(TRIADS[sensor]):
             progress(f"{column_name}: {len(part)} samples", len(fits) / (3 * len(triads)))
             column = np.ascontiguousarray(part[:, axis])
-            fit = identify(column, regular_rate, terms=terms, shortest=shortest)
+            try:
+                fit = identify(column, regular_rate, terms=terms, shortest=shortest)
+            except ConstantError as error:
+                quality.append(f"{column_name} repeats itself: all means over {error.factor} samples are alike")
+                continue
             if fit.likelihood < UNLIKELY:
                 quality.append(
                     f"{column_name}: the curve is no sum of these terms (probability {fit.likelihood:.1g}): filtered "
                     "or disturbed samples? --shortest leaves out the cluster times that a filter smooths"
                 )
             fits[column_name] = (UNITS[sensor], fit)
+    if not fits:
+        raise DriveFileError(f"{name}: {'; '.join(quality)}")
     document = {
         "file": name,
         "terms": terms,
@@ -68,6 +75,7 @@ def _regular(triad: Triad, rate: float | None, quality: list[str]) -> tuple[floa
     if rate is not None:
         quality.append(f"{triad.sensor}: taken as regular at {rate:g} Hz, whatever the stamps say")
         return rate, triad.values
+    quality += triad.remarks
     if triad.t.size < 3:
         raise DriveFileError(f"{triad.sensor}: {triad.t.size} samples are too few")
     steps = np.diff(triad.t)
@@ -80,8 +88,11 @@ def _regular(triad: Triad, rate: float | None, quality: list[str]) -> tuple[floa
             f"{triad.t.size} samples. If only the stamps are irregular, give --rate"
         )
     t = triad.t[longest]
-    if t.size < 3:
-        raise DriveFileError(f"{triad.sensor}: no stretch without a gap; if only the stamps are irregular, give --rate")
+    if len(pieces) > 1 and t.size < LEAST_SAMPLES:
+        raise DriveFileError(
+            f"{triad.sensor}: {len(pieces) - 1} gaps leave {t.size} of {triad.t.size} samples in a row, "
+            f"{LEAST_SAMPLES} are needed; if only the stamps are irregular, give --rate"
+        )
     return float((t.size - 1) / (t[-1] - t[0])), triad.values[longest]
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from nav_core.timebase import in_order
 from server.formats.columns import Columns, Floats
 from server.formats.drive import DriveFileError, read_drive_columns
 
@@ -16,28 +17,32 @@ UNITS = {"accel": "m/s²", "gyro": "rad/s", "mag": "µT"}
 
 @dataclass(frozen=True)
 class Triad:
-    """Samples of one sensor in the order of time, repeats dropped."""
+    """Samples of one sensor in the order of time, repeats dropped; the remarks tell of that."""
 
     sensor: str
     t: Floats
     values: Floats
     temp: Floats | None
+    remarks: tuple[str, ...]
 
 
-def triads_of(recording: Columns) -> dict[str, Triad]:
-    """Every sensor that a recording has samples of."""
+def triads_of(recording: Columns, *, as_stored: bool = False) -> dict[str, Triad]:
+    """Every sensor that a recording has samples of; `as_stored`: all of them in the order of the file."""
     columns = recording.values
     found: dict[str, Triad] = {}
     for sensor, names in TRIADS.items():
         if names[0] not in columns:
             continue
         rows = np.flatnonzero(~np.isnan(columns[names[0]]))
-        _, first = np.unique(columns["t"][rows], return_index=True)
-        rows = rows[first]
+        remarks: tuple[str, ...] = ()
+        if not as_stored:
+            ordered = in_order(columns["t"][rows])
+            rows = rows[ordered.keep]
+            remarks = tuple(f"{sensor}: {each.detail}" for each in ordered.remarks)
         if rows.size:
             temp = columns["temp"][rows] if "temp" in columns else None
             values = np.column_stack([columns[name][rows] for name in names])
-            found[sensor] = Triad(sensor, columns["t"][rows], values, temp)
+            found[sensor] = Triad(sensor, columns["t"][rows], values, temp, remarks)
     return found
 
 
