@@ -14,7 +14,7 @@ import numpy as np
 
 from nav_core import earth
 from nav_core.errors import RangeError, ShapeError, TooLittleDataError
-from nav_core.kalman import State, filter_record, gate, smooth
+from nav_core.kalman import filter_record, gate, smooth
 from nav_core.navigation.epochs import LONGEST_STEP, UNKNOWN_FORCE
 from nav_core.navigation.fixes import Receiver, Reports, as_white, reports
 from nav_core.navigation.solution import Solution
@@ -65,6 +65,24 @@ THESIS_MEASUREMENT = np.array([4.0, 4.0, 4.0, 9.0, 9.0, 9.0])
 """Variances of position, m², and velocity, (m/s)², as the text of §7.7.2 has them; 7.7.23 exchanges the two."""
 
 
+class Run(NamedTuple):
+    """What the filter makes of the residuals.
+
+    Attributes
+    ----------
+    x : ndarray, shape (k, 12)
+        To be added to the integrated motion, m, m/s and m/s².
+    P : ndarray, shape (k, 12, 12)
+        Its covariance.
+    left_out : int
+        Epochs of which the gate left out a component of the position.
+    """
+
+    x: Floats
+    P: Floats
+    left_out: int
+
+
 def augmented_transition(dt: float, *, errata: Literal["corrected", "printed"] = "corrected") -> Floats:
     """Transition matrix of position, velocity, acceleration and bias.
 
@@ -105,7 +123,7 @@ def run(
     disturbance: Floats | None = None,
     innovation_gate: float = np.inf,
     smoothed: bool = False,
-) -> State:
+) -> Run:
     """Filter the residuals between fixes and doubly integrated acceleration.
 
     Parameters
@@ -124,8 +142,7 @@ def run(
 
     Returns
     -------
-    State
-        `x` (k, 12), to be added to the integrated motion, and `P` (k, 12, 12).
+    Run
 
     Raises
     ------
@@ -156,7 +173,9 @@ def run(
         r=variance,
         gate=innovation_gate,
     )
-    return smooth(found, Phi) if smoothed else State(found.x, found.P)
+    left_out = int(np.count_nonzero(found.rejected[:, :3].any(axis=1)))
+    x, P = smooth(found, Phi) if smoothed else (found.x, found.P)
+    return Run(x, P, left_out)
 
 
 def navigate_without_gyro(
@@ -239,7 +258,7 @@ def navigate_without_gyro(
         found.x[:, 9:12],
         np.zeros(moments.size),
         int(seen.t.size),
-        0,
+        found.left_out,
         drive.remarks,
     )
 

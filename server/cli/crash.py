@@ -4,15 +4,10 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 import sys
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any
 
 from server.settings import set_numba_cache_dir
-
-if TYPE_CHECKING:
-    from nav_core.records import MountingEstimate
 
 
 def crash(args: argparse.Namespace) -> int:
@@ -29,7 +24,9 @@ def crash(args: argparse.Namespace) -> int:
         _progress("mounting")
         mounting = estimate_mounting(drive)
     else:
-        mounting = mounting_of(json.loads(args.mount.read_text(encoding="utf-8")), args.mount)
+        from server.installations.mount_file import read_mount_file
+
+        mounting = read_mount_file(args.mount)
     _progress("events")
     result = crash_json(reconstruct_drive(drive, mounting, vehicle_class=args.vehicle_class))
     if args.json:
@@ -40,61 +37,6 @@ def crash(args: argparse.Namespace) -> int:
     for event in result["events"]:
         _tell(event)
     return 0
-
-
-def mounting_of(document: Any, path: Path) -> MountingEstimate:
-    """A mounting out of what `mount --json` printed."""
-    import numpy as np
-
-    from nav_core.records import MountingChange, MountingEstimate
-
-    if not isinstance(document, dict) or "R_va" not in document:
-        raise ValueError(f"{path} is not what `scatola mount --json` prints: no R_va")
-    status = document.get("status", "ready")
-    if document["R_va"] is None:
-        unknown = status if status in ("insufficient", "not_fixed") else "insufficient"
-        return MountingEstimate(status=unknown, method="whole-drive")
-    try:
-        R_va = np.array(document["R_va"], dtype=np.float64)
-    except (TypeError, ValueError):
-        raise ValueError(f"{path}: R_va is not three rows of three numbers") from None
-    if R_va.shape != (3, 3) or not np.allclose(R_va @ R_va.T, np.eye(3), atol=1e-4) or np.linalg.det(R_va) < 0.0:
-        raise ValueError(f"{path}: R_va is not a rotation")
-    sigma, lags = _part(document, "sigma_deg", path), _part(document, "gps_lag_s", path)
-    degrees = [_number(sigma, name, f"{path}: sigma_deg") for name in ("x", "y", "z")] if sigma else [1.0] * 3
-    if min(degrees) < 0.0:
-        raise ValueError(f"{path}: sigma_deg is negative")
-    changes = document.get("changes") or []
-    if not isinstance(changes, list):
-        raise ValueError(f"{path}: changes is not a list")  # noqa: TRY004 - of the file, not of an argument
-    return MountingEstimate(
-        status=status if status in ("ready", "settling") else "ready",
-        method="whole-drive",
-        R_va=R_va,
-        covariance=np.diag(np.radians(np.array(degrees, dtype=np.float64)) ** 2),
-        progress=1.0,
-        speed_lag=None if lags.get("speed") is None else _number(lags, "speed", f"{path}: gps_lag_s"),
-        course_lag=None if lags.get("course") is None else _number(lags, "course", f"{path}: gps_lag_s"),
-        changes=tuple(
-            MountingChange(_number(each, "t_s", where), math.radians(_number(each, "angle_deg", where)))
-            for where, each in ((f"{path}: changes[{k}]", each) for k, each in enumerate(cast("list[Any]", changes)))
-        ),
-    )
-
-
-def _part(document: dict[str, Any], name: str, path: Path) -> dict[str, Any]:
-    """An object within the document; empty where there is none."""
-    part = document.get(name)
-    if part is not None and not isinstance(part, dict):
-        raise ValueError(f"{path}: {name} is not an object")
-    return cast("dict[str, Any]", part or {})
-
-
-def _number(part: Any, name: str, where: str) -> float:
-    value = cast("dict[str, Any]", part).get(name) if isinstance(part, dict) else None
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise ValueError(f"{where}.{name} is not a number")
-    return float(value)
 
 
 def _tell(event: dict[str, Any]) -> None:

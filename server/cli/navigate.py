@@ -113,8 +113,9 @@ def read_pulses(path: Path) -> Floats:
 
 def _told(path: Path) -> track.Mounting:
     from server.analyses.compute.track import mounting_from
+    from server.installations.mount_file import read_mount_file
 
-    return mounting_from(json.loads(path.read_text(encoding="utf-8")), str(path))
+    return mounting_from(read_mount_file(path), str(path))
 
 
 def plot(path: Path, solution: Solution, drive: Drive, spans: tuple[Gap, ...]) -> None:

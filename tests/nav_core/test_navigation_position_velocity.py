@@ -97,6 +97,16 @@ def test_a_drive_without_gyro(seed):
     assert speed == pytest.approx(np.interp(solution.t, truth.t, truth.v), abs=1.5)
 
 
+def test_fixes_that_the_gate_leaves_out_are_counted():
+    drive, truth, _ = seen = world(1, duration=60.0)
+    gnss = drive.gnss
+    jump = (gnss.t > 40.0) & (gnss.t < 42.0)
+    jumped = replace(drive, gnss=replace(gnss, lat=gnss.lat + jump * 500.0 / 6.37e6))
+    assert navigate_without_gyro(drive, truth.R_va, **seen.lags).rejected == 0
+    found = navigate_without_gyro(jumped, truth.R_va, **seen.lags)
+    assert found.rejected == pytest.approx(np.count_nonzero(jump), abs=2)
+
+
 def test_what_the_filter_refuses():
     drive, truth, _ = world(1, duration=20.0)
     silent = replace(drive, gnss=replace(drive.gnss, fix=np.zeros(drive.gnss.t.size, dtype=bool)))

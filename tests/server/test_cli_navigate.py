@@ -96,6 +96,46 @@ def test_a_mounting_that_is_not_known_is_refused(recording, capsys):
     assert not (folder / "x.csv").exists()
 
 
+@pytest.mark.parametrize(
+    ("document", "said"),
+    [
+        ("{", "is no JSON"),
+        ('{"R_va": [[0, 0, 0], [0, 0, 0], [0, 0, 0]]}', "R_va is not a rotation"),
+        ('{"R_va": [[1, 0, 0], [0, 1, 0], [0, 0, 1]], "sigma_deg": {"x": null, "y": 1, "z": 1}}', "sigma_deg.x"),
+        ('{"R_va": [[1, 0, 0], [0, 1, 0], [0, 0, 1]], "gps_lag_s": [1]}', "gps_lag_s is not an object"),
+    ],
+)
+def test_a_mounting_that_is_none_is_one_line_that_names_the_file(recording, tmp_path, capsys, document, said):
+    folder, _ = recording
+    mount = tmp_path / "MOUNT.json"
+    mount.write_text(document, encoding="utf-8")
+    arguments = ["navigate", str(folder / "drive.csv"), "--out", str(tmp_path / "track.csv")]
+    assert main([*arguments, "--mount", str(mount)]) == 1
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert said in error
+    assert "MOUNT.json" in error
+
+
+def test_what_a_reader_of_the_track_must_know_is_remarked(recording, tmp_path, capsys):
+    """A mounting that still settles, a start at rest, and no height: the column stays empty."""
+    folder, truth = recording
+    mount = tmp_path / "settling.json"
+    sigma = {"x": 0.5, "y": 0.5, "z": 3.0}
+    mount.write_text(json.dumps({"R_va": truth.R_va.tolist(), "status": "settling", "sigma_deg": sigma}), "utf-8")
+    drive = read_drive_file(folder / "drive.csv")
+    low = tmp_path / "low.csv"
+    write_drive_file(low, from_drive(replace(drive, gnss=replace(drive.gnss, alt=np.full(drive.gnss.t.size, np.nan)))))
+    out = tmp_path / "track.csv"
+    assert main(["navigate", str(low), "--out", str(out), "--mount", str(mount), "--json"]) == 0
+    quality = " ".join(json.loads(capsys.readouterr().out)["quality"])
+    assert "still settling: known to ±3.0°" in quality
+    assert "begins with the first moving fix" in quality
+    header, values = track(out)
+    assert np.isnan(values[:, [header.index("alt"), header.index("alt_sigma")]]).all()
+    assert np.isfinite(values[:, header.index("vd_sigma")]).all()
+
+
 def test_pulses_date_the_track_and_tell_how_late_fixes_arrive(recording, tmp_path, capsys):
     """The box clock runs 30 ppm fast of UTC's second; the receiver answers 0.27 s after the moment of its fix."""
     folder, truth = recording

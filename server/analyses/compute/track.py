@@ -23,10 +23,10 @@ from nav_core.navigation import (
     radius,
 )
 from nav_core.navigation.fixes import Receiver, reports
-from nav_core.records import Drive
+from nav_core.navigation.inertial_gnss import UNKNOWN_HEIGHT
+from nav_core.records import Drive, MountingEstimate
 from nav_core.timebase import ClockFit, Gap
 from nav_core.typing import Floats
-from server.installations.result import mount_json
 
 DRAWN = 1500
 """Moments of a track that a document has."""
@@ -42,6 +42,7 @@ class Mounting(NamedTuple):
     sigma: float
     speed_lag: float | None
     course_lag: float | None
+    settled: bool = True
 
 
 class Clock(NamedTuple):
@@ -54,22 +55,16 @@ class Clock(NamedTuple):
 
 def mounting_of(drive: Drive) -> Mounting:
     """From the drive itself."""
-    return mounting_from(mount_json(estimate_mounting(drive)), "the drive itself")
+    return mounting_from(estimate_mounting(drive), "the drive itself")
 
 
-def mounting_from(document: Any, source: str) -> Mounting:
-    """From a mount JSON; `source` names it."""
-    if not isinstance(document, dict) or document.get("R_va") is None:
-        reasons: list[str] = document.get("reasons") or [] if isinstance(document, dict) else []
-        raise ValueError(f"{source} does not tell the mounting; {' '.join(reasons) or 'give one with --mount'}")
-    lags: dict[str, float | None] = document.get("gps_lag_s") or {}
-    sigma = document.get("sigma_deg")
-    return Mounting(
-        np.array(document["R_va"], dtype=np.float64),
-        math.radians(max(sigma.values())) if sigma else math.radians(1.0),
-        lags.get("speed"),
-        lags.get("course"),
-    )
+def mounting_from(estimate: MountingEstimate, source: str) -> Mounting:
+    """What an estimate tells; `source` names it."""
+    if estimate.R_va is None or estimate.sigma is None:
+        reasons = " ".join(reason.text for reason in estimate.reasons) or "give one with --mount"
+        raise ValueError(f"{source} does not tell the mounting; {reasons}")
+    worst = float(estimate.sigma.max())
+    return Mounting(estimate.R_va, worst, estimate.speed_lag, estimate.course_lag, estimate.status == "ready")
 
 
 def lagged(mounting: Mounting, least: float = 0.0) -> Mounting:
@@ -95,8 +90,11 @@ def track_of(solution: Solution) -> dict[str, Floats]:
         euler[:, :2] = np.nan  # taken to be level, not measured
     north = np.degrees(sigma[:, 0] / (meridian + solution.height))
     east = np.degrees(sigma[:, 1] / ((normal + solution.height) * np.cos(solution.lat)))
-    values = (np.degrees(solution.lat), np.degrees(solution.lon), solution.height, *solution.velocity.T, *euler.T)
-    sigmas = (north, east, sigma[:, 2], *sigma[:, 3:6].T, *solution.euler_sigma.T)
+    # No fix told a height: what the filter began with is none.
+    told = sigma[:, 2] < 0.5 * UNKNOWN_HEIGHT
+    height, height_sigma = (np.where(told, column, np.nan) for column in (solution.height, sigma[:, 2]))
+    values = (np.degrees(solution.lat), np.degrees(solution.lon), height, *solution.velocity.T, *euler.T)
+    sigmas = (north, east, height_sigma, *sigma[:, 3:6].T, *solution.euler_sigma.T)
     return {
         "t": solution.t,
         **dict(zip(NAMES, values, strict=True)),
@@ -115,6 +113,8 @@ def report_of(
     inertial = solution.method == "inertial-gnss"
     if not inertial:
         quality.append("No gyro: position and velocity from accelerometer and GPS, heading from the GPS course alone")
+    if not mounting.settled:
+        quality.append(f"The mounting is still settling: known to ±{math.degrees(mounting.sigma):.1f}° (1-sigma)")
     if solution.rejected:
         quality.append(f"{solution.rejected} of {solution.fixes} fixes contradicted the motion and were left out")
     return {
