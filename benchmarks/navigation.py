@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from timing import Row, best, once, print_rows
 
-from nav_core.kalman import kernels as steps
+from nav_core.kalman import filter_record
 from nav_core.navigation import Receiver, Vehicle, inertial_gnss
 from nav_core.simulate import Scenario, simulate
 
@@ -51,17 +51,17 @@ def linearised(states: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def against_filterpy(states: int) -> list[Row]:
-    """The same transitions, matrices and residuals through filterpy's EKF and through `run_filter`."""
+    """The same transitions, matrices and residuals through filterpy's EKF and through `filter_record`."""
     from filterpy.kalman import ExtendedKalmanFilter
 
     Phi, P = linearised(states)
     n = Phi.shape[0] + 1
     Q, H = 1e-6 * np.eye(states), np.eye(3, states)
     z = 2.0 * np.random.default_rng(1).standard_normal((n, 3))
-    every_Q, every_H, r = np.tile(Q, (n - 1, 1, 1)), np.tile(H, (n, 1, 1)), np.full((n, 3), 4.0)
+    r = np.full(3, 4.0)
 
     def ours() -> np.ndarray:
-        return steps.run_filter(np.zeros(states), P.copy(), Phi, every_Q, z, every_H, r, np.inf)[2]
+        return filter_record(np.zeros(states), P, Phi=Phi, Q=Q, z=z, H=H, r=r).x
 
     def theirs() -> np.ndarray:
         ekf = ExtendedKalmanFilter(states, 3)

@@ -2,7 +2,7 @@
 
 `predict` and `update` are one step in matrices, in Joseph's form and with a gate on the joint innovation;
 `filter_record` and `smooth` run over a record, compiled; `extended` and `linearised` take nonlinear models;
-`kernels` holds the compiled steps for use inside other kernels.
+`kernels` holds the compiled steps for use inside other kernels, `record_kernels` the filter and smoother made of them.
 """
 
 from nav_core.kalman.consistency import Consistency, consistency, gate, mean_band, normalised

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
 from nav_core.errors import CovarianceError, RangeError, ShapeError
-from nav_core.kalman import kernels
+from nav_core.kalman import record_kernels
 from nav_core.typing import Flags, Floats
 
 
@@ -172,10 +172,10 @@ class Filtered:
 
 
 def _per_step(name: str, values: Floats, count: int, shape: tuple[int, ...]) -> Floats:
-    """`values` for each of `count` steps, given once or for each."""
+    """`values` for each of `count` steps, or once, with a first axis of length one, for all of them."""
     if values.shape == shape:
-        values = np.broadcast_to(values, (count, *shape))
-    if values.shape != (count, *shape):
+        values = values[None]
+    elif values.shape != (count, *shape):
         raise ShapeError(name, values.shape, f"{shape} or {(count, *shape)}")
     return np.ascontiguousarray(values, dtype=np.float64)
 
@@ -226,17 +226,21 @@ def filter_record(
     variances = _per_step("r", r, steps, (m,))
     if variances.size and not variances.min() > 0.0:
         raise RangeError("r", float(variances.min()), "more than 0")
-    x_prior, P_prior, after, covariance, nis = kernels.run_filter(
-        np.array(x, dtype=np.float64),
-        _per_step("P", P, 1, (n, n))[0].copy(),
+    prior, after = ((np.empty((steps, n)), np.empty((steps, n, n))) for _ in range(2))
+    nis = np.empty((steps, m))
+    record_kernels.run_filter(
+        (np.array(x, dtype=np.float64), _per_step("P", P, 1, (n, n))[0].copy()),
         _per_step("Phi", Phi, steps - 1, (n, n)),
         _per_step("Q", Q, steps - 1, (n, n)),
         np.ascontiguousarray(z, dtype=np.float64),
         _per_step("H", H, steps, (m, n)),
         variances,
-        gate,
+        float(gate),
+        prior,
+        after,
+        nis,
     )
-    return Filtered(x_prior, P_prior, after, covariance, np.abs(nis), nis < 0.0)
+    return Filtered(*prior, *after, np.abs(nis), nis < 0.0)
 
 
 def smooth(filtered: Filtered, Phi: Floats) -> State:
@@ -263,5 +267,6 @@ def smooth(filtered: Filtered, Phi: Floats) -> State:
     """
     steps, n = filtered.x.shape
     x, P = filtered.x.copy(), filtered.P.copy()
-    kernels.smooth_backwards(filtered.x_prior, filtered.P_prior, x, P, _per_step("Phi", Phi, steps - 1, (n, n)))
+    every = np.ascontiguousarray(np.broadcast_to(_per_step("Phi", Phi, steps - 1, (n, n)), (steps - 1, n, n)))
+    record_kernels.smooth_backwards(filtered.x_prior, filtered.P_prior, x, P, every)
     return State(x, P)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from nav_core.attitude.kernels import Vector
-from nav_core.kalman.kernels import projected
+from nav_core.kalman.kernels import project
 from nav_core.navigation.states import VEHICLE, Weights
 from nav_core.typing import Floats, kernel
 
@@ -47,7 +47,7 @@ def speeds_up(force: Vector, Phi: Floats, P: Floats, T: float, noise: float, wei
 
 
 @kernel
-def strike(P: Floats, e: Floats, H: Floats, s: Floats, gate: float) -> None:
+def strike(P: Floats, e: Floats, H: Floats, s: Floats, gate: float, room: Floats) -> None:
     """Strike out residuals beyond the gate, each judged alone and before any update.
 
     Parameters
@@ -62,17 +62,21 @@ def strike(P: Floats, e: Floats, H: Floats, s: Floats, gate: float) -> None:
         Variances of the noise.
     gate : float
         On the squared normalised residual.
+    room : ndarray, shape (n + 3, n)
+        Of `kalman.kernels.room_for`; overwritten.
     """
+    Ph = room[0]
     for i in range(e.size):
         if np.isnan(e[i]):
             continue
-        variance = s[i] + H[i] @ projected(P, H[i])
+        project(P, H[i], Ph)
+        variance = s[i] + H[i] @ Ph
         if e[i] * e[i] > gate * variance:
             e[i] = np.nan
 
 
 @kernel
-def strike_fix(P: Floats, e: Floats, H: Floats, s: Floats, weights: Weights, since: float) -> bool:
+def strike_fix(P: Floats, e: Floats, H: Floats, s: Floats, weights: Weights, since: float, room: Floats) -> bool:
     """Gate a fix, `since` s after the first of those left out without a break; returns whether it was left out.
 
     A position with one bad coordinate is bad as a whole.  When nothing else came for long, it is the filter that has
@@ -92,6 +96,8 @@ def strike_fix(P: Floats, e: Floats, H: Floats, s: Floats, weights: Weights, sin
         Of `Vehicle.weights`.
     since : float
         s.
+    room : ndarray, shape (23, 20)
+        Of `kalman.kernels.room_for`; overwritten.
 
     Returns
     -------
@@ -99,7 +105,7 @@ def strike_fix(P: Floats, e: Floats, H: Floats, s: Floats, weights: Weights, sin
         Whether the position was out of the gate.
     """
     seen = (e[0], e[1], e[2])
-    strike(P, e, H, s, weights.gate)
+    strike(P, e, H, s, weights.gate, room)
     bad = False
     for i in range(3):
         bad = bad or (np.isnan(e[i]) and not np.isnan(seen[i]))

@@ -15,13 +15,13 @@ import numpy as np
 from nav_core import earth
 from nav_core.errors import NavigationError, RangeError, TooLittleDataError
 from nav_core.kalman import gate
-from nav_core.kalman.kernels import smooth_backwards
+from nav_core.kalman.record_kernels import smooth_backwards
 from nav_core.navigation import kernels
 from nav_core.navigation.epochs import Epochs, epochs_of
 from nav_core.navigation.fixes import Receiver, Reports, reports
 from nav_core.navigation.solution import Solution
 from nav_core.navigation.states import STATES, VEHICLE, Weights
-from nav_core.records import Drive
+from nav_core.records import Drive, Remark
 from nav_core.rotation import euler_to_matrix, rotvec_to_matrix
 from nav_core.strapdown.increments import Increments, from_rates
 from nav_core.typing import Floats, trailing
@@ -178,6 +178,9 @@ class Forward(NamedTuple):
     still: Floats
 
 
+UNKNOWN_HEIGHT = 1000.0
+"""1 sigma of the height where no fix tells it, m."""
+
 START_SPEED = 3.0
 """The course of the first fix at this speed, m/s, says where the vehicle points."""
 
@@ -259,8 +262,17 @@ def navigate(
         run.still,
         record.fixes,
         run.left_out,
-        drive.remarks,
+        (*drive.remarks, *_begun_late(drive, record)),
     )
+
+
+def _begun_late(drive: Drive, record: Record) -> tuple[Remark, ...]:
+    """A remark where more than a second of the recording lies before the track."""
+    before = float(record.t[0] - drive.inertial.t[0])
+    if before <= 1.0:
+        return ()
+    text = f"The track begins with the first moving fix at {record.t[0]:.1f} s; the {before:.1f} s before are left out"
+    return (Remark("begins_moving", text),)
 
 
 def forward(record: Record) -> Forward:
@@ -335,17 +347,22 @@ def prepare(
 
 
 def _start(t: Floats, seen: Reports, vehicle: Vehicle) -> Start:
-    usable = np.isfinite(seen.z).all(axis=1) & (seen.z[:, 3] >= START_SPEED)
+    # Without a height it begins at zero: only gravity depends on it, and little.
+    usable = np.isfinite(seen.z[:, [0, 1, 3, 4]]).all(axis=1) & (seen.z[:, 3] >= START_SPEED)
     if t.size:
         usable &= (seen.t >= t[0]) & (seen.t <= t[-1])
     if t.size == 0 or not usable.any():
-        raise TooLittleDataError("fixes with course while the vehicle moves", 0, 1)
+        raise TooLittleDataError(
+            f"fixes with position, speed and course at {START_SPEED:g} m/s or more among the samples", 0, 1
+        )
     first = int(np.argmax(usable))
     lat, lon, height, speed, course = seen.z[first]
     variances = seen.noise[first, :, 0]
     P = np.eye(STATES)
     # Wide, for the place is that of a fix which the filter reads as well, with the same error.
     P[range(3), range(3)] = 100.0 * variances[:3]
+    if np.isnan(height):
+        height, P[2, 2] = 0.0, UNKNOWN_HEIGHT**2
     P[range(3, 6), range(3, 6)] = 0.5**2
     P[range(6, 8), range(6, 8)] = vehicle.tilt**2
     # Besides noise, the box swings about the slip-free point, and the course may lag by more than was said.

@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from nav_core.attitude.kernels import Vector, turn
-from nav_core.kalman.kernels import propagate_covariance, update_sequential
+from nav_core.kalman.kernels import propagate_into, room_for, update_sequential
 from nav_core.navigation.gates import speeds_up, strike, strike_fix
 from nav_core.navigation.rows import fix_rows, rest_rows, slip_rows
 from nav_core.navigation.states import ROWS, SLOW, STATES, VEHICLE, Weights
@@ -103,6 +103,7 @@ def advance(
     weights: Weights,
     Phi: Floats,
     half: Floats,
+    room: Floats,
 ) -> tuple[Vector, Vector]:
     """Navigate over the samples between two epochs and predict.
 
@@ -135,6 +136,8 @@ def advance(
         Overwritten.
     half : ndarray, shape (20, 20)
         Overwritten on its diagonal.
+    room : ndarray, shape (23, 20)
+        Of `kalman.kernels.room_for`; overwritten.
 
     Returns
     -------
@@ -169,7 +172,7 @@ def advance(
         half[9 + i, 9 + i], half[12 + i, 12 + i] = 0.5 * T * weights.accel_walk, 0.5 * T * weights.gyro_walk
     for i in range(STATES):
         P[i, i] += half[i, i]
-    propagate_covariance(P, Phi, half)
+    propagate_into(P, Phi, half, P, room)
     return force, (wx / T, wy / T, wz / T)
 
 
@@ -233,7 +236,7 @@ def run(
     )
     corrections, slow, half = np.zeros((m, STATES)), np.zeros(SLOW), np.zeros((STATES, STATES))
     e, H, s, r, chi2 = np.empty(ROWS), np.zeros((ROWS, STATES)), np.empty(ROWS), np.empty(ROWS), np.empty(ROWS)
-    left_out, since = 0, np.inf
+    left_out, since, room = 0, np.inf, room_for(STATES)
     Phis[0] = np.eye(STATES)
     for j in range(m):
         e[:], H[:], s[:], r[:] = np.nan, 0.0, 1.0, 1.0
@@ -252,6 +255,7 @@ def run(
                 weights,
                 Phis[j],
                 half,
+                room,
             )
             if still[j] > 0.0 and speeds_up(force, Phis[j], P, float(t[b] - t[a]), density[j, 0], weights):
                 still[j] = 0.0
@@ -261,17 +265,17 @@ def run(
                 slip_rows(v, C, spin, arm, weights, e, H, s, r)
         P_prior[j] = P
         fix_rows(place, v, slow, z[j], late[j], noise[j], e, H, s, r)
-        strike(P, e[5:], H[5:], s[5:], weights.gate)
+        strike(P, e[5:], H[5:], s[5:], weights.gate, room)
         now = float(t[sample[j]])
         if not np.isnan(e[0]):
-            if strike_fix(P, e[:5], H[:5], s[:5], weights, now - since):
+            if strike_fix(P, e[:5], H[:5], s[:5], weights, now - since, room):
                 left_out += 1
                 since = min(since, now)
             else:
                 since = np.inf
         else:
-            strike(P, e[:5], H[:5], s[:5], weights.gate)
-        update_sequential(corrections[j], P, e, H, r, np.inf, chi2)
+            strike(P, e[:5], H[:5], s[:5], weights.gate, room)
+        update_sequential(corrections[j], P, e, H, r, np.inf, chi2, room)
         apply(place, v, C, slow, corrections[j])
         places[j], speeds[j], attitudes[j], slows[j], P_after[j] = place, v, C, slow, P
     return places, speeds, attitudes, slows, P_prior, P_after, Phis, corrections, left_out

@@ -46,7 +46,7 @@ def test_one_by_one_is_the_joint_update(seed):
     x, P, e, H, r = problem(seed)
     joint = kalman.update(x, P, e, H, np.diag(r))
     dx, covariance, chi2 = np.zeros(5), P.copy(), np.empty(3)
-    assert kernels.update_sequential(dx, covariance, e, H, r, np.inf, chi2) == 3
+    assert kernels.update_sequential(dx, covariance, e, H, r, np.inf, chi2, kernels.room_for(5)) == 3
     assert x + dx == pytest.approx(joint.x, rel=1e-7, abs=1e-9)
     assert covariance == pytest.approx(joint.P, rel=1e-7, abs=1e-9)
     assert chi2.sum() == pytest.approx(joint.nis, rel=1e-7)
@@ -61,7 +61,7 @@ def test_correlated_measurements_are_folded_in_once_decorrelated(seed):
     joint = kalman.update(x, P, e, H, R)
     white, rows = kalman.decorrelated(e, H, R)
     dx, covariance, chi2 = np.zeros(5), P.copy(), np.empty(3)
-    kernels.update_sequential(dx, covariance, white, rows, np.ones(3), np.inf, chi2)
+    kernels.update_sequential(dx, covariance, white, rows, np.ones(3), np.inf, chi2, kernels.room_for(5))
     assert x + dx == pytest.approx(joint.x, rel=1e-6, abs=1e-8)
     assert covariance == pytest.approx(joint.P, rel=1e-6, abs=1e-8)
     assert chi2.sum() == pytest.approx(joint.nis, rel=1e-6)
@@ -113,9 +113,9 @@ def test_the_compiled_prediction_is_the_one_in_matrices(seed):
     Phi, Q = rng.standard_normal((5, 5)), np.diag(rng.uniform(0.0, 1.0, 5))
     Phi[rng.random((5, 5)) < 0.5] = 0.0
     expected = kalman.predict(x, P, Phi, Q)
-    state, covariance = x.copy(), P.copy()
-    kernels.propagate_state(state, Phi)
-    kernels.propagate_covariance(covariance, Phi, Q)
+    state, covariance = np.empty(5), P.copy()
+    kernels.propagate_state(x, Phi, state)
+    kernels.propagate_into(covariance, Phi, Q, covariance, kernels.room_for(5))
     assert state == pytest.approx(expected.x, rel=1e-10, abs=1e-12)
     assert covariance == pytest.approx(expected.P, rel=1e-10, abs=1e-10)
     assert (covariance == covariance.T).all()
@@ -129,7 +129,7 @@ def test_the_gate_keeps_a_blunder_out():
         assert (outcome.x == x).all() is np.bool_(not accepted)
     dx, covariance, chi2 = np.zeros(5), P.copy(), np.empty(3)
     blunder = e + np.array([0.0, 200.0, 0.0])
-    assert kernels.update_sequential(dx, covariance, blunder, H, r, kalman.gate(1), chi2) == 2
+    assert kernels.update_sequential(dx, covariance, blunder, H, r, kalman.gate(1), chi2, kernels.room_for(5)) == 2
     assert chi2[1] < 0.0 < min(chi2[0], chi2[2])
     kept = kalman.update(x, P, e[[0, 2]], H[[0, 2]], np.diag(r[[0, 2]]))
     assert x + dx == pytest.approx(kept.x)
