@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from nav_core.alignment import Alignment, Attitude, Place
+    from nav_core.alignment.recording import Rest
     from nav_core.earth import MagneticField
     from nav_core.records import Drive, Inertial
 
@@ -179,14 +180,19 @@ def draw(path: Path, inertial: Inertial, found: Alignment) -> None:
     figure = Figure(figsize=(11.0, 4.8), layout="constrained")
     grid = figure.add_gridspec(1, 2, width_ratios=[2.0, 1.0])
     time, compass = figure.add_subplot(grid[0]), figure.add_subplot(grid[1], projection="polar")
-    for axis, values in zip("xyz", inertial.f.T, strict=True):
-        time.plot(inertial.t, values, linewidth=0.7, label=f"f{axis}")
-    time.set(xlabel="box clock (s)", ylabel="specific force (m/s²)", title="Where the box was at rest")
-    if found.rest is not None:
-        time.axvspan(found.rest.begin, found.rest.end, color="tab:green", alpha=0.2, label="rest used")
-    time.legend(loc="upper right", fontsize="small")
+    draw_rest(time, inertial, found.rest)
     _rose(compass, found)
     figure.savefig(path, dpi=120)
+
+
+def draw_rest(axes: Any, inertial: Inertial, rest: Rest | None) -> None:
+    """The specific force of the recording, the rest in it shaded."""
+    for name, values in zip("xyz", inertial.f.T, strict=True):
+        axes.plot(inertial.t, values, linewidth=0.7, label=f"f{name}")
+    axes.set(xlabel="box clock (s)", ylabel="specific force (m/s²)", title="Where the box was at rest")
+    if rest is not None:
+        axes.axvspan(rest.begin, rest.end, color="tab:green", alpha=0.2, label="rest used")
+    axes.legend(loc="upper right", fontsize="small")
 
 
 def _rose(axes: Any, found: Alignment) -> None:
@@ -214,6 +220,8 @@ def _rose(axes: Any, found: Alignment) -> None:
         )
     if sectors:
         axes.legend(loc="lower center", bbox_to_anchor=(0.5, -0.3), fontsize="small")
+    else:
+        axes.text(0.0, 0.0, "no heading", ha="center", va="center", color="0.4")
     level = found.levelling
     tilt = (
         "no rest" if level is None else f"roll {math.degrees(level.roll):.1f}°, pitch {math.degrees(level.pitch):.1f}°"

@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     import argparse
+    from pathlib import Path
 
     from nav_core.alignment import Place
     from nav_core.alignment.recording import Rest
-    from nav_core.records import Drive
+    from nav_core.records import Drive, Inertial
     from nav_core.typing import Floats
 
 AXES = "xyz"
@@ -21,7 +22,10 @@ def by_hand(args: argparse.Namespace, drive: Drive, place: Place | None) -> int:
     """Check the level of the longest rest and report the choice."""
     from nav_core.alignment import longest_rest
 
-    result = by_hand_json(longest_rest(drive.inertial), place, args.tolerance, args.forward_axis)
+    rest = longest_rest(drive.inertial)
+    result = by_hand_json(rest, place, args.tolerance, args.forward_axis)
+    if args.plot is not None:
+        draw(args.plot, drive.inertial, rest, result)
     if args.json:
         print(json.dumps(result))
     else:
@@ -102,6 +106,28 @@ def say(result: dict[str, Any]) -> None:
         print(f"  within {result['tolerance_g']:g} g of 1 g, which lets {result['largest_tilt_deg']:.2f}° through")
         for number, each in enumerate(result["orientations"], start=1):
             angles = ", ".join(f"{name} {value:.0f}°" for name, value in each["euler_deg"].items())
-            print(f"  {number}. {each['forward']} forward: {angles}")
+            chosen = "  <- chosen" if each["R_va"] == result["R_va"] else ""
+            print(f"  {number}. {each['forward']} forward: {angles}{chosen}")
     for reason in result["reasons"]:
         print(f"  - {reason}")
+
+
+def draw(path: Path, inertial: Inertial, rest: Rest | None, result: dict[str, Any]) -> None:
+    """Figure of the rest in the recording, and of its three readings against the band in which an axis is upright."""
+    from matplotlib.figure import Figure
+
+    from server.cli.align import draw_rest
+
+    figure = Figure(figsize=(11.0, 4.4), layout="constrained")
+    time, bars = figure.subplots(1, 2, width_ratios=(2.0, 1.0))
+    draw_rest(time, inertial, rest)
+    upright, tolerance = result["upright"], result["tolerance_g"]
+    if rest is not None and upright is not None:
+        # The reading of the upright axis says what gravity was taken for.
+        g = abs(float(rest.f[AXES.index(upright["axis"])])) / upright["reading_g"]
+        bars.bar([f"f{axis}" for axis in AXES], rest.f / g, color=[f"C{axis}" for axis in range(3)])
+    for sign in (1.0, -1.0):
+        bars.axhspan(sign * (1.0 - tolerance), sign * (1.0 + tolerance), color="tab:green", alpha=0.25, linewidth=0)
+    bars.axhline(0.0, color="0.5", linewidth=0.8)
+    bars.set(ylabel="mean at rest (g)", title=result["status"].replace("_", " "), ylim=(-1.25, 1.25))
+    figure.savefig(path, dpi=120)

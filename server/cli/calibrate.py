@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from server.analyses.compute.triads import TRIADS, UNITS, Triad, read_triad
+from server.analyses.compute.triads import TRIADS, UNITS, Triad, read_triad, triad_of
 from server.cli.progress import progress
 from server.formats.columns import Floats
-from server.formats.drive import DriveFileError
+from server.formats.drive import DriveFileError, read_drive_columns
 from server.settings import set_numba_cache_dir
 
 if TYPE_CHECKING:
@@ -25,14 +25,17 @@ _ANGLES = ("roll_deg", "pitch_deg", "yaw_deg")
 def calibrate(args: argparse.Namespace) -> int:
     """`scatola calibrate`."""
     set_numba_cache_dir()
-    from server.analyses.compute.calibration import calibration_json
+    from server.analyses.compute.calibration import calibration_json, too_sure
 
-    triad = read_triad(args.file, args.sensor)
-    quality: list[str] = []
+    recording = read_drive_columns(args.file)
+    triad = triad_of(recording, args.sensor, str(args.file))
+    quality = [*(remark.detail for remark in recording.remarks), *triad.remarks]
     progress(f"{args.sensor}: {len(triad.t)} samples")
     result = _by_reference(args, triad) if args.reference is not None else _by_itself(args, triad, quality)
     turn_on, temperature = _at_rest(triad, args, quality) if args.sensor == "gyro" else (None, None)
     progress("")
+    if result is not None:
+        quality += too_sure(result)
     if result is None and turn_on is None:
         raise DriveFileError("; ".join(quality) or "the gyro was never at rest")
     document = {
@@ -45,10 +48,10 @@ def calibrate(args: argparse.Namespace) -> int:
         "temperature": _temperature_json(temperature),
         "quality": quality,
     }
-    if args.plot is not None:
-        if result is None:
-            raise DriveFileError("nothing to plot: bias at rest alone; give --reference or --speeds")
+    if args.plot is not None and result is not None:
         _plot(args.plot, args.sensor, result)
+    elif args.plot is not None:
+        _plot_rest(args.plot, triad, turn_on, temperature)
     print(json.dumps(document) if args.json else _in_words(document))
     return 0
 
@@ -73,6 +76,9 @@ def _by_reference(args: argparse.Namespace, triad: Triad) -> Result:
 
     t, truth = _reference(args)
     inside = (triad.t >= t[0]) & (triad.t <= t[-1])
+    if not inside.any():
+        spans = f"{t[0]:g} to {t[-1]:g} s, the recording {triad.t[0]:g} to {triad.t[-1]:g} s"
+        raise DriveFileError(f"{args.reference} covers {spans}: they have no time in common")
     at = np.column_stack([np.interp(triad.t[inside], t, column) for column in truth.T])
     return Result("reference", calibrate_reference(triad.values[inside], at), triad.values[inside] - at)
 
@@ -91,7 +97,10 @@ def _reference(args: argparse.Namespace) -> tuple[Floats, Floats]:
         raise DriveFileError(
             f"{args.reference}: columns t and {', '.join(wanted)}, or t and {', '.join(_ANGLES)} needed"
         )
-    columns = np.loadtxt(args.reference, delimiter=",", skiprows=1, ndmin=2, encoding="utf-8-sig")
+    try:
+        columns = np.loadtxt(args.reference, delimiter=",", skiprows=1, ndmin=2, encoding="utf-8-sig")
+    except ValueError as error:
+        raise DriveFileError(f"{args.reference}: {error}") from error
     t = columns[:, names.index("t")]
     euler = np.unwrap(np.radians(columns[:, [names.index(name) for name in _ANGLES]]), axis=0)
     if not (np.isfinite(columns).all() and t.size > 4 and np.all(np.diff(t) > 0.0)):
@@ -169,20 +178,48 @@ def _in_words(document: dict[str, Any]) -> str:
 
 
 def _plot(path: Path, sensor: str, result: Result) -> None:
-    """Errors before and after: of the magnitude, or of each axis."""
+    """Errors of the magnitude, or of each axis, before and after: each on a scale of its own."""
     from matplotlib.figure import Figure
 
     after, before = np.atleast_2d(result.calibration.residuals.T), np.atleast_2d(result.before.T)
     names = TRIADS[sensor] if len(after) == 3 else ("magnitude",)
-    figure = Figure(figsize=(8.0, 2.6 * len(after) + 0.6), layout="constrained")
-    panels = figure.subplots(len(after), 1, squeeze=False, sharex=True)[:, 0]
+    figure = Figure(figsize=(11.0, 2.6 * len(after) + 0.8), layout="constrained")
+    panels = figure.subplots(len(after), 2, squeeze=False, sharex=True)
     style = "o" if after.shape[1] <= 200 else "."
-    for panel, name, old, new in zip(panels, names, before, after, strict=True):
-        panel.plot(old, style, markersize=3, label=f"before, rms {np.sqrt(np.mean(old**2)):.3g}")
-        panel.plot(new, style, markersize=3, label=f"after, rms {np.sqrt(np.mean(new**2)):.3g}")
-        panel.set_ylabel(f"error of {name} [{UNITS[sensor]}]")
-        panel.grid(visible=True, alpha=0.3)
-        panel.legend()
-    panels[-1].set_xlabel("pose or sample")
+    for row, name, *errors in zip(panels, names, before, after, strict=True):
+        for panel, word, colour, values in zip(row, ("before", "after"), ("C0", "C1"), errors, strict=True):
+            panel.axhline(0.0, color="0.6", linewidth=0.8)
+            panel.plot(values, style, color=colour, markersize=3)
+            panel.set_title(f"{name} {word}: rms {np.sqrt(np.mean(values**2)):.3g} {UNITS[sensor]}", fontsize="medium")
+            panel.grid(visible=True, alpha=0.3)
+        row[0].set_ylabel(f"error [{UNITS[sensor]}]")
+    for panel in panels[-1]:
+        panel.set_xlabel("pose or sample")
     figure.suptitle(f"Calibration of the {sensor}: method {result.method}")
+    figure.savefig(path, dpi=150)
+
+
+def _plot_rest(path: Path, triad: Triad, turn_on: TurnOnBias | None, temperature: TemperatureFit | None) -> None:
+    """A gyro at rest: how its means wander from the turn-on bias, and the lines against temperature."""
+    from matplotlib.figure import Figure
+
+    second, first, count = np.unique(np.floor(triad.t - triad.t[0]), return_index=True, return_counts=True)
+    means = np.add.reduceat(triad.values, first) / count[:, None]
+    base = means[0] if turn_on is None else turn_on.bias
+    figure = Figure(figsize=(8.0, 3.4 if temperature is None else 6.2), layout="constrained")
+    panels = figure.subplots(1 if temperature is None else 2, 1, squeeze=False)[:, 0]
+    for axis, name in enumerate(TRIADS[triad.sensor]):
+        panels[0].plot(triad.t[0] + second, means[:, axis] - base[axis], label=f"{name} less {base[axis]:.4g}")
+    panels[0].set(xlabel="box clock [s]", ylabel="mean of a second [rad/s]", title="At rest, less the turn-on bias")
+    if temperature is not None and triad.temp is not None:
+        span, known = np.array(temperature.span), ~np.isnan(triad.temp[first])
+        for axis, name in enumerate(TRIADS[triad.sensor]):
+            at = temperature.offset[axis]
+            panels[1].plot(triad.temp[first][known], means[known, axis] - at, ".", markersize=3, color=f"C{axis}")
+            line = temperature.bias(span)[:, axis] - at
+            panels[1].plot(span, line, color=f"C{axis}", label=f"{name}: {temperature.slope[axis]:.3g} rad/s per K")
+        panels[1].set(xlabel="temperature [°C]", ylabel="less the bias at 25 °C [rad/s]")
+    for panel in panels:
+        panel.grid(visible=True, alpha=0.3)
+        panel.legend(fontsize="small")
     figure.savefig(path, dpi=150)

@@ -59,6 +59,35 @@ def numbers(*counts: int) -> Callable[[str], list[float]]:
     return parse
 
 
+def number(wanted: str, fits: Callable[[float], bool]) -> Callable[[str], float]:
+    """Type of an argument that is a number which `fits`; `wanted` tells which do."""
+
+    def parse(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not (math.isfinite(value) and fits(value)):
+            raise argparse.ArgumentTypeError(f"{text!r}: a number {wanted} is needed")
+        return value
+
+    return parse
+
+
+POSITIVE = number("above 0", lambda value: value > 0.0)
+NOT_NEGATIVE = number("of 0 or more", lambda value: value >= 0.0)
+LATITUDE = number("from -90 to 90", lambda value: abs(value) <= 90.0)
+LONGITUDE = number("from -180 to 180", lambda value: abs(value) <= 180.0)
+
+
+def figure(text: str) -> Path:
+    """Type of an argument that names a figure to write."""
+    path = Path(text)
+    if path.suffix.lower() not in (".png", ".svg", ".pdf"):
+        raise argparse.ArgumentTypeError(f"{text!r}: a name that ends in .png, .svg or .pdf is needed")
+    return path
+
+
 def build_parser() -> argparse.ArgumentParser:
     """The parser of all commands."""
     parser = argparse.ArgumentParser(prog="scatola", description="Telemetry black boxes: mounting, crashes, fleet.")
@@ -141,7 +170,7 @@ def _add_file_commands(add: Add) -> None:
         help="column t: box times of the receiver's pulse per second; dates the track and tells how late fixes arrive",
     )
     navigate.add_argument("--forward", action="store_true", help="no smoothing: each moment knows only its past")
-    navigate.add_argument("--plot", type=Path, metavar="FIGURE", help="write a figure: .png, .svg or .pdf")
+    navigate.add_argument("--plot", type=figure, metavar="FIGURE", help="write a figure: .png, .svg or .pdf")
     navigate.add_argument("--json", action="store_true")
 
     _add_upload(add)
@@ -192,8 +221,10 @@ def _add_upload(add: Add) -> None:
 def _add_sensor_commands(add: Add) -> None:
     allan = add("allan", "allan:allan", "Allan deviation and noise coefficients of a recording at rest.")
     allan.add_argument("file", type=Path, metavar="FILE", help="columns t and any of f*, w*, m*; CSV or Parquet")
-    allan.add_argument("--rate", type=float, help="samples per second where the stamps do not tell")
-    allan.add_argument("--shortest", type=float, default=0.0, help="s, cluster time from which the terms are fitted")
+    allan.add_argument("--rate", type=POSITIVE, help="samples per second where the stamps do not tell")
+    allan.add_argument(
+        "--shortest", type=NOT_NEGATIVE, default=0.0, help="s, cluster time from which the terms are fitted"
+    )
     allan.add_argument("--terms", default="NBK", help="coefficients to fit, of N, B, K, Q; default: %(default)s")
 
     calibrate = add("calibrate", "calibrate:calibrate", "Calibrate an accelerometer, gyro or magnetometer.")
@@ -206,24 +237,24 @@ def _add_sensor_commands(add: Add) -> None:
         help="the true input: columns t and f*, w* or m*, or roll_deg, pitch_deg, yaw_deg; CSV",
     )
     calibrate.add_argument("--poses", action="store_true", help="each row is the mean of one pose")
-    calibrate.add_argument("--gravity", type=float, default=9.80665, help="local, m/s²; default: %(default)s")
+    calibrate.add_argument("--gravity", type=POSITIVE, default=9.80665, help="local, m/s²; default: %(default)s")
     calibrate.add_argument(
         "--speeds", type=numbers(1, 2, 3, 4), metavar="DEG_PER_S[,...]", help="gyro: rates of the turntable used"
     )
     calibrate.add_argument(
         "--field", type=numbers(1, 3), metavar="UT|N,E,D", help="mag: true field, its magnitude or vector, µT"
     )
-    calibrate.add_argument("--window", type=float, default=1.0, help="s, over which rest is told; default: 1")
+    calibrate.add_argument("--window", type=POSITIVE, default=1.0, help="s, over which rest is told; default: 1")
     align = add("align", "align:align", "Level a box at its longest rest in a file, and find its heading where it can.")
     align.add_argument("file", type=Path, metavar="FILE", help="drive file: CSV or Parquet")
-    align.add_argument("--lat", type=float, metavar="DEG", help="latitude; default: from the file's fixes")
-    align.add_argument("--lon", type=float, metavar="DEG", help="longitude, same")
+    align.add_argument("--lat", type=LATITUDE, metavar="DEG", help="latitude; default: from the file's fixes")
+    align.add_argument("--lon", type=LONGITUDE, metavar="DEG", help="longitude, same")
     align.add_argument("--height", type=float, metavar="M", help="height, same")
     align.add_argument("--year", type=float, help="decimal year for the magnetic field; default: from the file's utc")
-    align.add_argument("--accel-bias-mg", type=float, default=5.0, help="1-sigma of the accelerometer's bias")
-    align.add_argument("--gyro-bias-deg-per-hour", type=float, default=360.0, help="1-sigma of the gyro's bias")
-    align.add_argument("--field-sigma-ut", type=float, default=1.0, help="1-sigma of the magnetometer")
-    align.add_argument("--heading-limit-deg", type=float, default=5.0, help="largest 1-sigma of a heading of use")
+    align.add_argument("--accel-bias-mg", type=POSITIVE, default=5.0, help="1-sigma of the accelerometer's bias")
+    align.add_argument("--gyro-bias-deg-per-hour", type=POSITIVE, default=360.0, help="1-sigma of the gyro's bias")
+    align.add_argument("--field-sigma-ut", type=POSITIVE, default=1.0, help="1-sigma of the magnetometer")
+    align.add_argument("--heading-limit-deg", type=POSITIVE, default=5.0, help="largest 1-sigma of a heading of use")
     align.add_argument(
         "--by-hand", action="store_true", help="only check that an axis is upright, and list the four mountings left"
     )
@@ -235,7 +266,7 @@ def _add_sensor_commands(add: Add) -> None:
     )
     for command in (allan, calibrate, align):
         command.add_argument("--json", action="store_true")
-        command.add_argument("--plot", type=Path, metavar="IMAGE", help="write a figure: .png, .svg or .pdf")
+        command.add_argument("--plot", type=figure, metavar="IMAGE", help="write a figure: .png, .svg or .pdf")
 
 
 def _add_service_commands(add: Add) -> None:

@@ -235,3 +235,7 @@ def test_by_hand_says_what_it_cannot_do(capsys, plain, tmp_path):
     text = run(capsys, plain, "--by-hand")
     assert text.startswith("level\n  at rest from 1")
     assert "  1. +x forward: theta 0°, phi 0°, psi 0°\n" in text
+    figure = tmp_path / "by-hand.png"
+    text = run(capsys, plain, "--by-hand", "--forward-axis=-x", "--plot", figure)
+    assert "-x forward" in next(line for line in text.splitlines() if line.endswith("<- chosen"))
+    assert figure.stat().st_size > 10_000

@@ -115,6 +115,32 @@ def test_allan_remarks_filtered_samples(capsys, tmp_path):
     assert result["columns"]["wx"]["N"]["value"] == pytest.approx(0.1, rel=0.1)
 
 
+def test_an_axis_that_does_not_change_is_left_out_with_a_remark(capsys, tmp_path):
+    values = np.random.default_rng(10).standard_normal((1000, 3))
+    values[:, 0] = 0.25
+    path, figure = write(tmp_path / "dead.csv", np.arange(1000) / 100.0, "f", values), tmp_path / "dead.png"
+    result = json.loads(run(capsys, "allan", path, "--json", "--plot", figure)[1].out)
+    assert set(result["columns"]) == {"fy", "fz"}
+    assert result["quality"] == ["fx repeats itself: all means over 1 samples are alike"]
+    assert figure.stat().st_size > 10_000
+    still = write(tmp_path / "still.csv", np.arange(1000) / 100.0, "f", np.ones((1000, 3)))
+    assert "fz repeats itself" in failed(capsys, "allan", still)
+
+
+def test_repeated_and_unordered_rows_are_remarked_and_with_a_rate_all_are_taken(capsys, tmp_path):
+    t = np.arange(1000) / 100.0
+    t[[500, 501]] = t[[501, 500]]
+    t[700] = t[699]
+    path = write(tmp_path / "stamps.csv", t, "w", np.random.default_rng(11).standard_normal((1000, 3)))
+    result = json.loads(run(capsys, "allan", path, "--json")[1].out)
+    assert result["columns"]["wx"]["samples"] == 999
+    assert [line.split(" ")[1] for line in result["quality"]] == ["1", "1"]
+    told = json.loads(run(capsys, "allan", path, "--json", "--rate", 100)[1].out)
+    assert told["columns"]["wx"]["samples"] == 1000
+    rest = json.loads(run(capsys, "calibrate", "gyro", write(path, t, "w", np.zeros((1000, 3))), "--json")[1].out)
+    assert "gyro: 1 of 1000 rows repeated a time and were dropped." in rest["quality"]
+
+
 def test_progress_is_for_terminals(monkeypatch, capsys):
     from server.cli.progress import progress
 
@@ -132,7 +158,8 @@ def test_allan_refuses_what_has_no_samples(capsys, tmp_path):
     short = write(tmp_path / "short.csv", np.arange(2.0), "f", np.zeros((2, 3)))
     assert "too few" in failed(capsys, "allan", short)
     sparse = write(tmp_path / "sparse.csv", np.array([0.0, 1.0, 1.1, 9.0, 9.1]), "f", np.zeros((5, 3)))
-    failed(capsys, "allan", sparse)
+    assert "2 gaps leave 2 of 5 samples in a row" in failed(capsys, "allan", sparse)
+    assert "--rate" in failed(capsys, "allan", sparse)
     some = write(tmp_path / "some.csv", np.arange(50.0), "f", np.ones((50, 3)))
     assert "at least 256" in failed(capsys, "allan", some)
     assert "terms" in failed(capsys, "allan", some, "--terms", "X")
@@ -207,10 +234,14 @@ def test_calibrate_a_resting_gyro_gives_its_bias_and_the_line_against_temperatur
     assert result["parameters"] is None
     np.testing.assert_allclose(result["turn_on_bias"]["bias"], values[:200].mean(axis=0))
     np.testing.assert_allclose(result["temperature"]["slope_per_k"], slope, atol=np.radians(5e-4))
-    words = run(capsys, "calibrate", "gyro", path)[1].out
+    figure = tmp_path / "warm.svg"
+    words = run(capsys, "calibrate", "gyro", path, "--plot", figure)[1].out
     assert "turn-on bias" in words
     assert "per K" in words
-    assert "nothing to plot" in failed(capsys, "calibrate", "gyro", path, "--plot", tmp_path / "no.png")
+    assert "temperature" in figure.read_text(encoding="utf-8")
+    cold = write(tmp_path / "cold.csv", t[:2000], "w", values[:2000])
+    assert run(capsys, "calibrate", "gyro", cold, "--plot", tmp_path / "cold.png")[0] == 0
+    assert (tmp_path / "cold.png").stat().st_size > 10_000
 
 
 def test_a_gyro_that_never_rests_is_bad_data(capsys, tmp_path):
@@ -275,6 +306,11 @@ def test_references_that_are_none_are_bad_data(capsys, tmp_path):
     path = write(tmp_path / "log.csv", t, "f", np.ones((t.size, 3)))
     other = write(tmp_path / "other.csv", t, "w", np.ones((t.size, 3)))
     assert "roll_deg" in failed(capsys, "calibrate", "accel", path, "--reference", other)
+    later = write(tmp_path / "later.csv", t + 500.0, "f", np.ones((t.size, 3)))
+    assert "no time in common" in failed(capsys, "calibrate", "accel", path, "--reference", later)
+    words = tmp_path / "words.csv"
+    words.write_text("t,roll_deg,pitch_deg,yaw_deg\n0,0,level,0\n", encoding="utf-8")
+    assert "words.csv: could not" in failed(capsys, "calibrate", "accel", path, "--reference", words)
     short = tmp_path / "short.csv"
     short.write_text("t,roll_deg,pitch_deg,yaw_deg\n0,0,0,0\n1,0,0,0\n", encoding="utf-8")
     assert "at least 5 rows" in failed(capsys, "calibrate", "accel", path, "--reference", short)
@@ -297,10 +333,38 @@ def test_calibrate_a_magnetometer_by_turning_it(capsys, tmp_path):
     assert vector["gain"] == known["gain"]
     unknown = json.loads(run(capsys, "calibrate", "mag", path, "--json")[1].out)
     assert np.linalg.det(unknown["gain"]) == pytest.approx(1.0)
+    assert known["quality"] == unknown["quality"] == []
 
 
-@pytest.mark.parametrize("arguments", [["allan"], ["calibrate", "x", "f"], ["calibrate", "gyro", "f", "--speeds", "a"]])
-def test_bad_usage_is_status_2(arguments):
+def test_errors_that_hang_together_are_remarked(capsys, tmp_path):
+    # The field of a room wanders as the box is carried through it: 500 readings are not 500 of them.
+    rng = np.random.default_rng(12)
+    u = rng.standard_normal((500, 3))
+    u /= np.linalg.norm(u, axis=1)[:, None]
+    size = 48.0 + np.convolve(rng.standard_normal(549), np.full(50, 0.05), "valid")
+    path = write(tmp_path / "room.csv", np.arange(500.0), "m", size[:, None] * u)
+    (remark,) = json.loads(run(capsys, "calibrate", "mag", path, "--json")[1].out)["quality"]
+    assert "neighbouring errors are alike" in remark
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["allan"],
+        ["allan", "f", "--rate=-5"],
+        ["allan", "f", "--shortest=-1"],
+        ["allan", "f", "--plot", "figure.doc"],
+        ["calibrate", "x", "f"],
+        ["calibrate", "gyro", "f", "--speeds", "a"],
+        ["calibrate", "accel", "f", "--window", "0"],
+        ["calibrate", "accel", "f", "--gravity", "nine"],
+        ["align", "f", "--lat", "100"],
+        ["align", "f", "--lon=-200"],
+        ["align", "f", "--accel-bias-mg", "inf"],
+    ],
+)
+def test_bad_usage_is_status_2(arguments, capsys):
     with pytest.raises(SystemExit) as stopped:
         main(arguments)
     assert stopped.value.code == 2
+    assert "Traceback" not in capsys.readouterr().err

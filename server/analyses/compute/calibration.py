@@ -15,6 +15,9 @@ from server.formats.columns import Columns, Floats
 
 STEADY = 0.1
 """Share by which a mean rate may miss one of the turntable's and still be taken for it; real scales miss by less."""
+MANY = 100
+"""Residuals from which on it can be told whether neighbours are alike, and the correlation that is remarked."""
+ALIKE = 0.5
 MANY_POINTS = 1000
 """Readings that a document has of a sensor that was moved all around."""
 _DIRECTIONS = 2000
@@ -67,6 +70,23 @@ def by_field(readings: Floats, size: float | None) -> Result:
     return Result("ellipsoid", found.calibration, np.linalg.norm(readings, axis=1) - found.field, found.field)
 
 
+def too_sure(result: Result) -> list[str]:
+    """A remark where neighbouring errors are alike: the intervals take every reading for one by itself."""
+    left = np.atleast_2d(result.calibration.residuals.T)
+    if left.shape[1] < MANY:
+        return []
+    left = left - left.mean(axis=1, keepdims=True)
+    squares = np.maximum(np.sum(left**2, axis=1), np.finfo(np.float64).tiny)
+    alike = min(float(np.max(np.sum(left[:, 1:] * left[:, :-1], axis=1) / squares)), 0.999)
+    if alike < ALIKE:
+        return []
+    wider = np.sqrt((1.0 + alike) / (1.0 - alike))
+    text = (
+        f"neighbouring errors are alike (correlation {alike:.2f}): the intervals are some {wider:.1f} times too narrow"
+    )
+    return [text]
+
+
 def calibration_json(result: Result | None) -> dict[str, Any]:
     """Parameters with intervals, matrices, errors before and after; all null without a result."""
     if result is None:
@@ -112,7 +132,7 @@ def calibrate(
     those of a gyro's turntable, rad/s.
     """
     triad = triad_of(recording, sensor, name)
-    quality: list[str] = []
+    quality = list(triad.remarks)
     progress(f"{len(triad.t)} samples", 0.1)
     used = triad.values if sensor == "mag" else pose_means(triad, window, rows_are_poses=rows_are_poses)
     known = np.zeros(0)
@@ -129,6 +149,8 @@ def calibrate(
             result = by_gravity(used, magnitude or 9.80665)
     except PosesError as error:
         refusal = str(error)
+    if result is not None:
+        quality += too_sure(result)
     return {
         "file": name,
         "sensor": sensor,
