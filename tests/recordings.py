@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from nav_core.earth import ecef_to_geodetic
 from nav_core.records import Drive, Gnss, Inertial
 from nav_core.rotation import skew
 from nav_core.timebase import in_order
@@ -64,15 +65,17 @@ def corolla() -> Drive:
     )
 
 
-def comma2k19() -> Drive:
+def comma2k19(*, with_gyro: bool = False) -> Drive:
     """A nearly straight minute; box axes close to forward, right, down."""
     base = folder("comma2k19-rav4-1min")
     _, accel = _rows(base / "imu_accel.csv")
+    _, gyro = _rows(base / "imu_gyro.csv")
     _, gnss = _rows(base / "gnss_ublox.csv")
     t, f = _ordered(accel[:, 0], accel[:, 1:4])
     tg, fixes = _ordered(gnss[:, 0], gnss[:, 1:])
+    w = np.column_stack([np.interp(t, gyro[:, 0], axis) for axis in gyro[:, 1:4].T]) if with_gyro else None
     return Drive(
-        Inertial(t=t, f=f),
+        Inertial(t=t, f=f, w=w),
         Gnss(
             t=tg,
             lat=np.radians(fixes[:, 0]),
@@ -84,6 +87,13 @@ def comma2k19() -> Drive:
             utc=1e-3 * fixes[:, 3],  # the file's column is in milliseconds
         ),
     )
+
+
+def comma2k19_place() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Moments, latitude and longitude, rad, of the pose of the recording, which cameras helped to make."""
+    _, pose = _rows(folder("comma2k19-rav4-1min") / "truth_global_pose.csv")
+    lat, lon, _ = ecef_to_geodetic(pose[:, 3:6])
+    return pose[:, 0], lat, lon
 
 
 def comma2k19_travel_direction() -> np.ndarray:

@@ -18,7 +18,7 @@ from nav_core.attitude.error_state import (
     process_noise,
     transition,
 )
-from nav_core.errors import RangeError, ShapeError
+from nav_core.errors import NotFiniteError, RangeError, ShapeError
 from nav_core.processes import van_loan
 from nav_core.rotation import product, quaternion_to_matrix, quaternion_to_rotvec, rotvec_to_quaternion, skew
 from nav_core.sensors.noise import NoiseCoefficients
@@ -36,7 +36,13 @@ TABLE_9_1 = [
     (600.0, [2.28, 2.27, 3.84], 120.0),
 ]
 TABLE_9_2 = [[0.071, 0.079, 0.077], [0.080, 0.086, 0.117], [0.066, 0.046, 0.089], [0.030, 0.025, 0.019]]
+TABLE_9_3 = [[0.140, 0.137, 0.117], [0.189, 0.165, 0.137], [0.126, 0.124, 0.112], [0.090, 0.105, 0.077]]
 TABLE_9_4 = [[0.091, 0.072, 1.012], [0.096, 0.100, 0.804], [0.081, 0.067, 0.328], [0.127, 0.033, 1.324]]
+# The filter in the microcontroller, 180 s each: rates of the motion in tables 9.6 and 9.8, errors in 9.7 and 9.9.
+TABLE_9_6 = [[5.475, 6.904, 6.969], [5.141, 7.073, 6.040], [5.827, 7.294, 6.359], [6.807, 7.922, 8.070]]
+TABLE_9_7 = [[0.062, 0.049, 0.058], [0.063, 0.048, 0.039], [0.059, 0.052, 0.057], [0.068, 0.058, 0.047]]
+TABLE_9_8 = [[6.136, 7.709, 6.392], [5.550, 7.816, 6.761], [4.398, 7.342, 7.503], [3.901, 6.000, 7.662]]
+TABLE_9_9 = [[0.116, 0.065, 0.421], [0.111, 0.082, 1.074], [0.099, 0.106, 1.067], [0.067, 0.061, 1.155]]
 
 
 # Matrices -------------------------------------------------------------------------------------------------------
@@ -166,6 +172,8 @@ def test_input_is_checked():
         estimate(start, w[0], 0.01, noise)
     with pytest.raises(RangeError, match="period"):
         estimate(start, w, 0.0, noise)
+    with pytest.raises(NotFiniteError, match="index 3"):
+        estimate(start, np.where(np.arange(5)[:, None] == 3, np.nan, w), 0.01, noise)
     with pytest.raises(ShapeError, match="measured"):
         estimate(start, w, 0.01, noise, directions=[Direction(PADUA_FIELD, w[1:], 1.0)])
     with pytest.raises(RangeError, match="sigma"):
@@ -192,32 +200,53 @@ def test_the_platforms_rates_are_the_derivatives_of_its_attitude():
         platform.by_hand(20.0, 50.0, np.radians([5.0, 200.0, 5.0]), np.random.default_rng(3))
 
 
-def run_row(row: int, seed: int, instruments: Instruments):
-    """One test of table 9.1: truth and readings, and the estimates in space and on the ground."""
-    duration, rms, moving = TABLE_9_1[row]
-    rng = np.random.default_rng([row, seed])
+def by_hand(duration: float, rms: list[float], moving: float | None, instruments: Instruments, key: list[int]):
+    """One test by hand: truth, readings and the filter's start."""
+    rng = np.random.default_rng(key)
     truth = platform.by_hand(duration, 100.0, np.radians(rms), rng, moving=moving)
     readings = platform.measure(truth, instruments, rng)
-    start = Start.of(truth.q_nb[0], np.zeros(3), np.radians(0.1), np.radians(0.02))
-    space = platform_studies.run_space(start, readings, instruments, 100.0)
-    ground = platform_studies.run_terrestrial(start, readings, instruments, 100.0)
-    return truth, space, ground
+    return truth, readings, Start.of(truth.q_nb[0], np.zeros(3), np.radians(0.1), np.radians(0.02))
+
+
+def euler_squares(truth: np.ndarray, found: np.ndarray) -> np.ndarray:
+    return platform_studies.rms(platform_studies.euler_errors(truth, found), 100.0) ** 2
 
 
 @pytest.mark.parametrize("row", range(4))
 def test_errors_are_no_larger_than_tables_92_and_94(row):
     instruments = Instruments(turn_on=np.radians(0.02), encoders=True)
-    squares = np.zeros((2, 3))
+    squares = np.zeros((3, 3))
     for seed in range(4):
-        truth, space, ground = run_row(row, seed, instruments)
+        truth, readings, start = by_hand(*TABLE_9_1[row], instruments, [row, seed])
+        space = platform_studies.run_space(start, readings, instruments, 100.0)
+        ground = platform_studies.run_terrestrial(start, readings, instruments, 100.0)
         # 002 counts the tracker's errors from the encoders, which are the tracker as well.
         yardstick = platform.encoder_attitude(truth.q_nb[1:]) if row == 3 else truth.q_nb[1:]
-        squares[0] += platform_studies.rms(platform_studies.euler_errors(yardstick, space.q_nb), 100.0) ** 2
-        squares[1] += platform_studies.rms(platform_studies.euler_errors(truth.q_nb[1:], ground.q_nb), 100.0) ** 2
+        squares[0] += euler_squares(yardstick, space.q_nb)
+        squares[1] += euler_squares(truth.q_nb[1:], ground.q_nb)
+        squares[2] += platform_studies.rms(readings.w[1:] - space.bias - truth.w[1:], 100.0) ** 2
     found = np.degrees(np.sqrt(squares / 4))
-    print(f"test {row + 1}: space {found[0].round(4)}, ground {found[1].round(4)}")
+    print(f"test {row + 1}: space {found[0].round(4)}, ground {found[1].round(4)}, rates {found[2].round(4)}")
     assert np.all(found[0] <= TABLE_9_2[row])
     assert np.all(found[1] <= TABLE_9_4[row])
+    assert np.all(found[2] <= TABLE_9_3[row])
+
+
+@pytest.mark.parametrize("row", range(4))
+def test_errors_are_no_larger_than_the_on_line_tables_97_and_99(row):
+    instruments = Instruments(turn_on=np.radians(0.02), encoders=True)
+    squares = np.zeros((2, 3))
+    for seed in range(2):
+        truth, readings, start = by_hand(180.0, TABLE_9_6[row], None, instruments, [97, row, seed])
+        space = platform_studies.run_space(start, readings, instruments, 100.0)
+        squares[0] += euler_squares(truth.q_nb[1:], space.q_nb)
+        truth, readings, start = by_hand(180.0, TABLE_9_8[row], None, instruments, [99, row, seed])
+        ground = platform_studies.run_terrestrial(start, readings, instruments, 100.0)
+        squares[1] += euler_squares(truth.q_nb[1:], ground.q_nb)
+    found = np.degrees(np.sqrt(squares / 2))
+    print(f"test {row + 1} on line: space {found[0].round(4)}, ground {found[1].round(4)}")
+    assert np.all(found[0] <= TABLE_9_7[row])
+    assert np.all(found[1] <= TABLE_9_9[row])
 
 
 def errors_of(truth, readings, found):

@@ -171,6 +171,23 @@ def test_smooth_braking_at_walking_pace_is_no_rest():
     assert speed[solution.still > 0.0].max() < 0.5
 
 
+def test_without_heights_the_rest_of_the_track_is_the_same():
+    seen = world(6, duration=60.0)
+    gnss = seen.drive.gnss
+    low = replace(seen.drive, gnss=replace(gnss, alt=np.full(gnss.t.size, np.nan)))
+    plain, without = (navigate(each, seen.truth.R_va, **seen.lags) for each in (seen.drive, low))
+    assert np.abs(plain.lat - without.lat).max() * 6.37e6 < 0.1
+    assert plain.velocity[:, :2] == pytest.approx(without.velocity[:, :2], abs=0.05)
+    assert without.sigma[:, 2].min() > 900.0
+
+
+def test_the_rest_before_the_first_motion_is_remarked():
+    seen = world(1, duration=60.0)
+    solution = navigate(seen.drive, seen.truth.R_va, **seen.lags)
+    before = solution.t[0] - seen.drive.inertial.t[0]
+    assert [remark.code for remark in solution.remarks] == (["begins_moving"] if before > 1.0 else [])
+
+
 def test_biases_are_found():
     seen = world(8, duration=150.0)
     solution = navigate(seen.drive, seen.truth.R_va, **seen.lags)
