@@ -196,6 +196,20 @@ def test_the_symmetric_form_is_the_triangular_one_turned():
     np.testing.assert_allclose(np.linalg.norm(one.correct(readings), axis=1) - G, one.residuals, atol=1e-12)
 
 
+def test_nine_poses_calibrate_the_voltages_of_001_b3():
+    # MMA7341L at 11 g: 117.5 mV/g about half of 3.3 V, read by 10 bits.  B.3 promises 1e-2 V and 1e-2 V/g from nine.
+    rng = np.random.default_rng(73)
+    step = 3.3 / 1024.0
+    for _ in range(200):
+        own, cross = 0.1175 * rng.uniform(0.95, 1.05, 3), rng.uniform(-2e-3, 2e-3, 3)
+        A = np.diag(own) + np.array([[0, cross[0], cross[1]], [cross[0], 0, cross[2]], [cross[1], cross[2], 0]])
+        beta = 1.65 + rng.uniform(-0.1, 0.1, 3)
+        volts = step * np.round((spread_out(9, rng) @ A + beta) / step)
+        found = calibrate_positions(volts, 1.0, form="symmetric", noise=step / np.sqrt(12.0))
+        np.testing.assert_allclose(found.values, [*beta, *own, *cross], atol=1e-2)
+        assert found.poses.count == 9
+
+
 @settings(max_examples=25, deadline=None)
 @given(st.integers(0, 10**6), st.sampled_from(["triangular", "symmetric"]))
 def test_how_the_poses_are_turned_does_not_matter(seed, form):
