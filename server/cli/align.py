@@ -65,7 +65,7 @@ def surroundings(
     import numpy as np
 
     from nav_core.alignment import Place
-    from nav_core.earth import decimal_year, magnetic_field
+    from nav_core.earth import FIRST_YEAR, LAST_YEAR, decimal_year, magnetic_field
 
     def typical(values: Any) -> float | None:
         known = values[np.isfinite(values)] if values is not None else np.zeros(0)
@@ -80,7 +80,9 @@ def surroundings(
     if height is None:
         height = typical(gnss.alt) or 0.0
     if year is None and utc is not None:
-        year = decimal_year(utc)
+        # A receiver that does not know its date yet, or a week that rolled over, leaves the field unknown.
+        dated = decimal_year(utc)
+        year = dated if FIRST_YEAR <= dated < LAST_YEAR else None
     place = None if latitude is None else Place(latitude, height)
     if latitude is None or longitude is None or year is None:
         return place, None

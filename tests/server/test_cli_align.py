@@ -21,7 +21,7 @@ KEYS = {
 }  # fmt: skip
 
 
-def write(path, *, gyro=None, field=True, fixes=True, moving=False, iron=0.0, seconds=60.0):
+def write(path, *, gyro=None, field=True, fixes=True, moving=False, iron=0.0, seconds=60.0, utc=UTC):
     """A box at rest between two stretches of driving; `gyro` is its white noise, rad/s/√Hz, or None for no gyro."""
     rng = np.random.default_rng(1)
     t = np.arange(0.0, seconds, 0.02)
@@ -41,7 +41,7 @@ def write(path, *, gyro=None, field=True, fixes=True, moving=False, iron=0.0, se
     if fixes:
         columns |= {"lat": np.full(t.size, LAT), "lon": np.full(t.size, LON), "alt": np.full(t.size, HEIGHT)}
         columns |= {"speed": np.zeros(t.size), "course": np.zeros(t.size), "fix": np.ones(t.size)}
-        columns |= {"utc": UTC + t}
+        columns |= {"utc": utc + t}
     np.savetxt(
         path, np.column_stack(list(columns.values())), fmt="%.17g", delimiter=",", header=",".join(columns), comments=""
     )
@@ -121,6 +121,12 @@ def test_without_fixes_the_place_comes_from_the_options(capsys, tmp_path):
     told = aligned(capsys, file, "--lat", LAT, "--lon", LON, "--height", HEIGHT, "--year", YEAR)
     assert told["heading_from"] == "magnetic"
     assert told["euler_deg"]["yaw"] == pytest.approx(65.0, abs=0.5)
+
+
+def test_a_receiver_that_does_not_know_the_date_only_costs_the_field(capsys, tmp_path):
+    result = aligned(capsys, write(tmp_path / "undated.csv", gyro=1e-4, utc=315_964_800.0))
+    assert result["status"] == "levelled"
+    assert "no_field_model" in result["reason_codes"]
 
 
 def test_a_heading_worse_than_wanted_is_not_given(capsys, plain):
