@@ -14,7 +14,7 @@ import numpy as np
 from nav_core.attitude.kernels import multiply, normalise, quaternion_of
 from nav_core.errors import RangeError, ShapeError
 from nav_core.kalman import joseph
-from nav_core.kalman.kernels import propagate_into, room_for
+from nav_core.kalman.kernels import pattern_of, propagate_into, room_for
 from nav_core.processes import Discrete, transition_series
 from nav_core.rotation import normalised
 from nav_core.typing import Floats, kernel, trailing
@@ -224,6 +224,9 @@ def _propagate(
 ) -> None:
     Phi, Q, A = np.eye(7), np.zeros((7, 7)), np.empty((4, 4))
     angle, turn, room = np.empty(3), np.empty(4), room_for(7)
+    written = np.zeros((7, 7))
+    written[:4] = 1.0
+    pattern = pattern_of(written)
     for k in range(w.shape[0]):
         p, r, s = w[k, 0] - b[0], w[k, 1] - b[1], w[k, 2] - b[2]
         A[0, 0], A[0, 1], A[0, 2], A[0, 3] = 0.0, s, -r, p
@@ -243,7 +246,7 @@ def _propagate(
         _second_order(A, Phi)
         for i in range(3):
             Q[4 + i, 4 + i] = walk * dt
-        propagate_into(P, Phi, Q, P, room)
+        propagate_into(P, Phi, Q, P, pattern, room)
         angle[0], angle[1], angle[2] = dt * p, dt * r, dt * s
         quaternion_of(angle, turn)
         multiply(q, turn, q)

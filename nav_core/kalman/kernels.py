@@ -4,20 +4,39 @@ Measurements are folded in one after the other; with independent noise that is t
 3.3.22 without an inverse.  `correlated` measurements are made independent first (`linear.decorrelated`).
 
 The matrices are small: what costs is each number touched, each array made and each page of memory written for the
-first time.  So zeros are skipped, of a covariance the upper triangle is worked on alone and mirrored at the end of a
-step, and steps take their room from the caller (`room_for`).
+first time.  So the zeros of a transition matrix are known beforehand (`pattern_of`), steps take their room from the
+caller (`room_for`), and whole rows are worked on, of symmetric matrices too: half rows are too short for vector
+registers.
 """
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
-from nav_core.typing import Floats, kernel
+from nav_core.typing import Floats, Integers, kernel
+
+
+class Room(NamedTuple):
+    """What the steps of a filter write to and forget.
+
+    Attributes
+    ----------
+    product : ndarray, shape (n, n)
+    row, spread, gain, rest : ndarray, shape (n,)
+    """
+
+    product: Floats
+    row: Floats
+    spread: Floats
+    gain: Floats
+    rest: Floats
 
 
 @kernel
-def room_for(n: int) -> Floats:
-    """Working room of the steps of a filter with `n` states.
+def room_for(n: int) -> Room:
+    """Room for the steps of a filter with `n` states.
 
     Parameters
     ----------
@@ -26,15 +45,15 @@ def room_for(n: int) -> Floats:
 
     Returns
     -------
-    ndarray, shape (n + 3, n)
+    Room
         Uninitialised.
     """
-    return np.empty((n + 3, n))
+    return Room(np.empty((n, n)), np.empty(n), np.empty(n), np.empty(n), np.empty(n))
 
 
 @kernel
 def mirror(P: Floats) -> None:
-    """Write the upper triangle of `P` below its diagonal: what is worked on in one half alone is exactly symmetric.
+    """Write the upper triangle of `P` below its diagonal: rounding tears the two apart.
 
     Parameters
     ----------
@@ -46,67 +65,126 @@ def mirror(P: Floats) -> None:
             P[i, j] = P[j, i]
 
 
+class Pattern(NamedTuple):
+    """Where a transition matrix can differ from zero off its diagonal.
+
+    Attributes
+    ----------
+    columns : ndarray of int64, shape (c,)
+        Row by row.
+    begins : ndarray of int64, shape (n + 1,)
+        Of each row in `columns`, and their end.
+    """
+
+    columns: Integers
+    begins: Integers
+
+
 @kernel
-def turned_product(P: Floats, Phi: Floats, room: Floats) -> None:
-    """Set the first n rows of `room` to ``P Phi'`` of a symmetric `P`.
+def pattern_of(Phi: Floats) -> Pattern:
+    """Pattern of a matrix.
+
+    Parameters
+    ----------
+    Phi : ndarray, shape (n, n)
+        Not zero wherever one of the transition matrices is not.
+
+    Returns
+    -------
+    Pattern
+    """
+    n = Phi.shape[0]
+    columns, begins, count = np.empty(n * n, dtype=np.int64), np.zeros(n + 1, dtype=np.int64), 0
+    for i in range(n):
+        for j in range(n):
+            if i != j and Phi[i, j] != 0.0:
+                columns[count] = j
+                count += 1
+        begins[i + 1] = count
+    return Pattern(columns[:count].copy(), begins)
+
+
+@kernel
+def turned_product(P: Floats, Phi: Floats, pattern: Pattern, room: Room) -> None:
+    """Set the product in `room` to ``P Phi'`` of a symmetric `P`.
+
+    Two rows are added at a time, for the sum is loaded and stored anew each time.
 
     Parameters
     ----------
     P : ndarray, shape (n, n)
         Covariance.
     Phi : ndarray, shape (n, n)
-        Transition over the step; its zeros off the diagonal cost nothing.
-    room : ndarray, shape (n + 3, n)
+        Transition over the step.
+    pattern : Pattern
+        Of `Phi`.
+    room : Room
         Of `room_for`; overwritten.
     """
     n = P.shape[0]
-    column = room[n]
+    columns, begins, column, product = pattern.columns, pattern.begins, room.row, room.product
     for i in range(n):
-        own = Phi[i, i]
-        for j in range(n):
-            column[j] = own * P[i, j]
-        for k in range(n):
+        own, first, end = Phi[i, i], begins[i], begins[i + 1]
+        if (end - first) % 2 == 1:
+            k = columns[first]
             factor = Phi[i, k]
-            if factor != 0.0 and k != i:
-                for j in range(n):
-                    column[j] += factor * P[k, j]
+            for j in range(n):
+                column[j] = own * P[i, j] + factor * P[k, j]
+            first += 1
+        else:
+            for j in range(n):
+                column[j] = own * P[i, j]
+        for c in range(first, end, 2):
+            k, m = columns[c], columns[c + 1]
+            factor, other = Phi[i, k], Phi[i, m]
+            for j in range(n):
+                column[j] += factor * P[k, j] + other * P[m, j]
         for j in range(n):
-            room[j, i] = column[j]
+            product[j, i] = column[j]
 
 
 @kernel
-def propagate_into(P: Floats, Phi: Floats, Q: Floats, out: Floats, room: Floats) -> None:
-    """Set `out`, which may be `P` itself, to ``Phi P Phi' + Q``, exactly symmetric (000 eq. 3.6.25).
+def propagate_into(P: Floats, Phi: Floats, Q: Floats, out: Floats, pattern: Pattern, room: Room) -> None:
+    """Set `out`, which may be `P` itself, to ``Phi P Phi' + Q`` (000 eq. 3.6.25), symmetric but for rounding.
 
     Parameters
     ----------
     P : ndarray, shape (n, n)
         Covariance.
     Phi : ndarray, shape (n, n)
-        Transition over the step; its zeros off the diagonal cost nothing.
+        Transition over the step.
     Q : ndarray, shape (n, n)
         Noise of the step, symmetric.
     out : ndarray, shape (n, n)
         Overwritten.
-    room : ndarray, shape (n + 3, n)
+    pattern : Pattern
+        Of `Phi`.
+    room : Room
         Of `room_for`; overwritten.
     """
     n = P.shape[0]
-    turned_product(P, Phi, room)
+    columns, begins, product = pattern.columns, pattern.begins, room.product
+    turned_product(P, Phi, pattern, room)
     for i in range(n):
-        own, row = Phi[i, i], out[i]
-        for j in range(i, n):
-            row[j] = Q[i, j] + own * room[i, j]
-        for k in range(n):
+        own, first, end, row = Phi[i, i], begins[i], begins[i + 1], out[i]
+        if (end - first) % 2 == 1:
+            k = columns[first]
             factor = Phi[i, k]
-            if factor != 0.0 and k != i:
-                for j in range(i, n):
-                    row[j] += factor * room[k, j]
-    mirror(out)
+            for j in range(n):
+                row[j] = Q[i, j] + own * product[i, j] + factor * product[k, j]
+            first += 1
+        else:
+            for j in range(n):
+                row[j] = Q[i, j] + own * product[i, j]
+        for c in range(first, end, 2):
+            k, m = columns[c], columns[c + 1]
+            factor, other = Phi[i, k], Phi[i, m]
+            for j in range(n):
+                row[j] += factor * product[k, j] + other * product[m, j]
 
 
 @kernel
-def propagate_state(x: Floats, Phi: Floats, out: Floats) -> None:
+def propagate_state(x: Floats, Phi: Floats, pattern: Pattern, out: Floats) -> None:
     """Set `out`, another array, to ``Phi x`` (000 eq. 3.6.21).
 
     Parameters
@@ -115,22 +193,22 @@ def propagate_state(x: Floats, Phi: Floats, out: Floats) -> None:
         State.
     Phi : ndarray, shape (n, n)
         Transition over the step.
+    pattern : Pattern
+        Of `Phi`.
     out : ndarray, shape (n,)
         Overwritten.
     """
-    n = x.shape[0]
-    for i in range(n):
-        total = 0.0
-        for j in range(n):
-            # Adding up one by one is slow, and most are zeros.
-            if Phi[i, j] != 0.0:
-                total += Phi[i, j] * x[j]
+    for i in range(x.shape[0]):
+        total = Phi[i, i] * x[i]
+        for c in range(pattern.begins[i], pattern.begins[i + 1]):
+            k = pattern.columns[c]
+            total += Phi[i, k] * x[k]
         out[i] = total
 
 
 @kernel
 def project(P: Floats, h: Floats, Ph: Floats) -> None:
-    """Set `Ph` to ``P h``; of `P` the upper triangle is read, and zeros of `h`, of which it mostly consists, are not.
+    """Set `Ph` to ``P h`` of a symmetric `P`; zeros of `h`, of which a measurement row mostly consists, cost nothing.
 
     Parameters
     ----------
@@ -146,20 +224,18 @@ def project(P: Floats, h: Floats, Ph: Floats) -> None:
     for j in range(n):
         factor = h[j]
         if factor != 0.0:
-            for i in range(j):
-                Ph[i] += P[i, j] * factor
-            for i in range(j, n):
+            for i in range(n):
                 Ph[i] += P[j, i] * factor
 
 
 @kernel
 def joseph(P: Floats, Ph: Floats, h: Floats, r: float, gain: Floats, rest: Floats) -> None:
-    """`joseph_scalar` of a known ``P h``, in the upper triangle of `P` alone; `rest` is room for n numbers.
+    """`joseph_scalar` of a known ``P h``, without making `P` exactly symmetric; `rest` is room for n numbers.
 
     Parameters
     ----------
     P : ndarray, shape (n, n)
-        Covariance; its upper triangle is read and overwritten.
+        Covariance; overwritten.
     Ph : ndarray, shape (n,)
         Of `project`.
     h : ndarray, shape (n,)
@@ -179,14 +255,12 @@ def joseph(P: Floats, Ph: Floats, h: Floats, r: float, gain: Floats, rest: Float
         if factor != 0.0:
             # ``(I - k h') P h`` entry by entry: as ``P h - k (h' P h)``, the difference of large numbers would lose its
             # digits.
-            for i in range(j):
-                rest[i] -= (P[i, j] - gain[i] * spread) * factor
-            for i in range(j, n):
+            for i in range(n):
                 rest[i] -= (P[j, i] - gain[i] * spread) * factor
     for i in range(n):
         # What stays the same in a row has a name: the compiler cannot know that writing `P` does not change it.
         in_row, left, row = gain[i], rest[i], P[i]
-        for j in range(i, n):
+        for j in range(n):
             row[j] = (row[j] - in_row * Ph[j]) + left * gain[j]
 
 
@@ -206,21 +280,21 @@ def joseph_scalar(P: Floats, h: Floats, r: float, gain: Floats) -> None:
         k.
     """
     room = room_for(P.shape[0])
-    project(P, h, room[0])
-    joseph(P, room[0], h, r, gain, room[1])
+    project(P, h, room.spread)
+    joseph(P, room.spread, h, r, gain, room.rest)
     mirror(P)
 
 
 @kernel
-def fold(dx: Floats, P: Floats, residual: float, h: Floats, r: float, gate: float, room: Floats) -> float:
-    """`update_scalar` in the upper triangle of `P` alone.
+def fold(dx: Floats, P: Floats, residual: float, h: Floats, r: float, gate: float, room: Room) -> float:
+    """`update_scalar` without making `P` exactly symmetric.
 
     Parameters
     ----------
     dx : ndarray, shape (n,)
         Correction so far; changed.
     P : ndarray, shape (n, n)
-        Covariance; its upper triangle is read and changed.
+        Covariance; changed.
     residual : float
         Measurement minus its prediction, both before any correction.
     h : ndarray, shape (n,)
@@ -229,7 +303,7 @@ def fold(dx: Floats, P: Floats, residual: float, h: Floats, r: float, gate: floa
         Variance of the measurement's noise.
     gate : float
         On the squared normalised innovation.
-    room : ndarray, shape (n + 3, n)
+    room : Room
         Of `room_for`; overwritten.
 
     Returns
@@ -238,7 +312,7 @@ def fold(dx: Floats, P: Floats, residual: float, h: Floats, r: float, gate: floa
         As `update_scalar`.
     """
     n = dx.shape[0]
-    Ph, gain = room[0], room[1]
+    Ph, gain = room.spread, room.gain
     project(P, h, Ph)
     variance, innovation = r, residual
     for i in range(n):
@@ -251,7 +325,7 @@ def fold(dx: Floats, P: Floats, residual: float, h: Floats, r: float, gate: floa
     for i in range(n):
         gain[i] = Ph[i] / variance
         dx[i] += gain[i] * innovation
-    joseph(P, Ph, h, r, gain, room[2])
+    joseph(P, Ph, h, r, gain, room.rest)
     return chi2
 
 
@@ -286,7 +360,7 @@ def update_scalar(dx: Floats, P: Floats, residual: float, h: Floats, r: float, g
 
 @kernel
 def update_sequential(
-    dx: Floats, P: Floats, residual: Floats, H: Floats, r: Floats, gate: float, chi2: Floats, room: Floats
+    dx: Floats, P: Floats, residual: Floats, H: Floats, r: Floats, gate: float, chi2: Floats, room: Room
 ) -> int:
     """Fold in measurements one after the other, linearised once; NaN residuals are skipped.
 
@@ -300,7 +374,7 @@ def update_sequential(
         Residuals; variances; receives what `update_scalar` returns, NaN where skipped.
     H : ndarray, shape (m, n)
     gate : float
-    room : ndarray, shape (n + 3, n)
+    room : Room
         Of `room_for`; overwritten.
 
     Returns

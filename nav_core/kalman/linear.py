@@ -157,6 +157,7 @@ class Filtered:
     x_prior, x : ndarray, shape (k, n)
         Before and after the update of each epoch.
     P_prior, P : ndarray, shape (k, n, n)
+        Or (1, n, n), of the last epoch.
     nis : ndarray, shape (k, m)
         Squared normalised innovations, one by one; NaN where not measured.  Those used add up to the joint NIS.
     rejected : ndarray of bool, shape (k, m)
@@ -190,6 +191,7 @@ def filter_record(
     H: Floats,
     r: Floats,
     gate: float = np.inf,
+    keep_covariances: bool = True,
 ) -> Filtered:
     """Linear Kalman filter over a record, compiled, with measurements folded in one by one.
 
@@ -207,6 +209,9 @@ def filter_record(
         Variances of independent measurement noise; correlated ones go through `decorrelated`.
     gate : float
         A single measurement whose squared normalised innovation exceeds this is left out.
+    keep_covariances : bool
+        Without, `P_prior` and `P` hold the last epoch's alone, shape (1, n, n): enough to follow a state, too little
+        to `smooth`, and twice as fast for large states.
 
     Returns
     -------
@@ -226,16 +231,19 @@ def filter_record(
     variances = _per_step("r", r, steps, (m,))
     if variances.size and not variances.min() > 0.0:
         raise RangeError("r", float(variances.min()), "more than 0")
-    prior, after = ((np.empty((steps, n)), np.empty((steps, n, n))) for _ in range(2))
+    kept = steps if keep_covariances else min(steps, 1)
+    prior, after = ((np.empty((steps, n)), np.empty((kept, n, n))) for _ in range(2))
     nis = np.empty((steps, m))
+    every = _per_step("Phi", Phi, steps - 1, (n, n))
     record_kernels.run_filter(
         (np.array(x, dtype=np.float64), _per_step("P", P, 1, (n, n))[0].copy()),
-        _per_step("Phi", Phi, steps - 1, (n, n)),
+        every,
         _per_step("Q", Q, steps - 1, (n, n)),
         np.ascontiguousarray(z, dtype=np.float64),
         _per_step("H", H, steps, (m, n)),
         variances,
         float(gate),
+        record_kernels.common_pattern(every),
         prior,
         after,
         nis,
@@ -266,6 +274,8 @@ def smooth(filtered: Filtered, Phi: Floats) -> State:
     Rauch, Tung and Striebel 1965; Groves 2013 §3.4.2.
     """
     steps, n = filtered.x.shape
+    if filtered.P.shape[0] != steps:
+        raise ShapeError("filtered.P", filtered.P.shape, f"({steps}, {n}, {n}): keep_covariances is needed")
     x, P = filtered.x.copy(), filtered.P.copy()
     every = np.ascontiguousarray(np.broadcast_to(_per_step("Phi", Phi, steps - 1, (n, n)), (steps - 1, n, n)))
     record_kernels.smooth_backwards(filtered.x_prior, filtered.P_prior, x, P, every)

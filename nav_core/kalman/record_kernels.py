@@ -4,8 +4,28 @@ from __future__ import annotations
 
 import numpy as np
 
-from nav_core.kalman.kernels import propagate_into, propagate_state, room_for, update_sequential
+from nav_core.kalman.kernels import Pattern, pattern_of, propagate_into, propagate_state, room_for, update_sequential
 from nav_core.typing import Floats, kernel
+
+
+@kernel
+def common_pattern(Phi: Floats) -> Pattern:
+    """Pattern of all transition matrices of a record.
+
+    Parameters
+    ----------
+    Phi : ndarray, shape (k, n, n)
+
+    Returns
+    -------
+    Pattern
+    """
+    steps, n = Phi.shape[0], Phi.shape[1]
+    flat, seen = Phi.reshape((steps, n * n)), np.zeros(n * n)
+    for k in range(steps):
+        for j in range(n * n):
+            seen[j] += abs(flat[k, j])
+    return pattern_of(seen.reshape((n, n)))
 
 
 @kernel
@@ -17,6 +37,7 @@ def run_filter(
     H: Floats,
     r: Floats,
     gate: float,
+    pattern: Pattern,
     prior: tuple[Floats, Floats],
     after: tuple[Floats, Floats],
     chi2: Floats,
@@ -36,37 +57,39 @@ def run_filter(
     H : ndarray, shape (k or 1, m, n)
     r : ndarray, shape (k or 1, m)
     gate : float
-    prior, after : tuple of ndarray, shape (k, n), (k, n, n)
-        States and covariances before and after each update; overwritten.  Made by the caller: numpy asks the system for
-        large pages, and first writing to small ones would take as long as the filter.
+    pattern : Pattern
+        Of `common_pattern`.
+    prior, after : tuple of ndarray, shape (k, n), (k or 1, n, n)
+        States and covariances before and after each update; overwritten.  With one covariance the last one stays:
+        writing all of them into fresh memory takes longer than the filter.
     chi2 : ndarray, shape (k, m)
         What `update_scalar` returns; overwritten.
     """
     x_prior, P_prior = prior
     x_after, P_after = after
     steps, m = z.shape
-    n = start[0].shape[0]
+    n, kept = start[0].shape[0], P_after.shape[0] - 1
     room, residual, dx = room_for(n), np.empty(m), np.empty(n)
     for k in range(steps):
-        x, P = x_prior[k], P_prior[k]
+        x, P, updated = x_prior[k], P_prior[min(k, kept)], P_after[min(k, kept)]
         if k == 0:
             x[:], P[:] = start[0], start[1]
         else:
+            before = min(k - 1, kept)
             transition, noise = Phi[min(k, Phi.shape[0]) - 1], Q[min(k, Q.shape[0]) - 1]
-            propagate_state(x_after[k - 1], transition, x)
-            propagate_into(P_after[k - 1], transition, noise, P, room)
+            propagate_state(x_after[k - 1], transition, pattern, x)
+            propagate_into(P_after[before], transition, noise, P, pattern, room)
         rows = H[min(k, H.shape[0] - 1)]
         for i in range(m):
             residual[i] = z[k, i]
             for j in range(n):
                 if rows[i, j] != 0.0:
                     residual[i] -= rows[i, j] * x[j]
-        after_update = P_after[k]
         for i in range(n):
             dx[i] = 0.0
             for j in range(n):
-                after_update[i, j] = P[i, j]
-        update_sequential(dx, after_update, residual, rows, r[min(k, r.shape[0] - 1)], gate, chi2[k], room)
+                updated[i, j] = P[i, j]
+        update_sequential(dx, updated, residual, rows, r[min(k, r.shape[0] - 1)], gate, chi2[k], room)
         for j in range(n):
             x_after[k, j] = x[j] + dx[j]
 

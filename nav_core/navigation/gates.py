@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from nav_core.attitude.kernels import Vector
-from nav_core.kalman.kernels import project
+from nav_core.kalman.kernels import Room, project
 from nav_core.navigation.states import VEHICLE, Weights
 from nav_core.typing import Floats, kernel
 
@@ -47,7 +47,7 @@ def speeds_up(force: Vector, Phi: Floats, P: Floats, T: float, noise: float, wei
 
 
 @kernel
-def strike(P: Floats, e: Floats, H: Floats, s: Floats, gate: float, room: Floats) -> None:
+def strike(P: Floats, e: Floats, H: Floats, s: Floats, gate: float, room: Room) -> None:
     """Strike out residuals beyond the gate, each judged alone and before any update.
 
     Parameters
@@ -62,10 +62,10 @@ def strike(P: Floats, e: Floats, H: Floats, s: Floats, gate: float, room: Floats
         Variances of the noise.
     gate : float
         On the squared normalised residual.
-    room : ndarray, shape (n + 3, n)
+    room : Room
         Of `kalman.kernels.room_for`; overwritten.
     """
-    Ph = room[0]
+    Ph = room.spread
     for i in range(e.size):
         if np.isnan(e[i]):
             continue
@@ -76,7 +76,7 @@ def strike(P: Floats, e: Floats, H: Floats, s: Floats, gate: float, room: Floats
 
 
 @kernel
-def strike_fix(P: Floats, e: Floats, H: Floats, s: Floats, weights: Weights, since: float, room: Floats) -> bool:
+def strike_fix(P: Floats, e: Floats, H: Floats, s: Floats, weights: Weights, since: float, room: Room) -> bool:
     """Gate a fix, `since` s after the first of those left out without a break; returns whether it was left out.
 
     A position with one bad coordinate is bad as a whole.  When nothing else came for long, it is the filter that has
@@ -96,7 +96,7 @@ def strike_fix(P: Floats, e: Floats, H: Floats, s: Floats, weights: Weights, sin
         Of `Vehicle.weights`.
     since : float
         s.
-    room : ndarray, shape (23, 20)
+    room : Room
         Of `kalman.kernels.room_for`; overwritten.
 
     Returns

@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from nav_core.attitude.kernels import Vector, turn
-from nav_core.kalman.kernels import propagate_into, room_for, update_sequential
+from nav_core.kalman.kernels import Pattern, Room, pattern_of, propagate_into, room_for, update_sequential
 from nav_core.navigation.gates import speeds_up, strike, strike_fix
 from nav_core.navigation.rows import fix_rows, rest_rows, slip_rows
 from nav_core.navigation.states import ROWS, SLOW, STATES, VEHICLE, Weights
@@ -62,6 +62,23 @@ def transition_of(force: Vector, C: Floats, T: float, keep: float, Phi: Floats) 
 
 
 @kernel
+def errors_pattern() -> Pattern:
+    """Where `transition_of` can write off the diagonal.
+
+    Returns
+    -------
+    Pattern
+    """
+    written = np.zeros((STATES, STATES))
+    for i in range(3):
+        written[i, 3 + i] = 1.0
+        written[i, 6:12] = 1.0
+        written[3 + i, 6:VEHICLE] = 1.0
+        written[6 + i, 12:VEHICLE] = 1.0
+    return pattern_of(written)
+
+
+@kernel
 def apply(place: Floats, v: Floats, C: Floats, slow: Floats, dx: Floats) -> None:
     """Put an error estimate into position, velocity, attitude, biases and receiver's errors.
 
@@ -103,7 +120,8 @@ def advance(
     weights: Weights,
     Phi: Floats,
     half: Floats,
-    room: Floats,
+    pattern: Pattern,
+    room: Room,
 ) -> tuple[Vector, Vector]:
     """Navigate over the samples between two epochs and predict.
 
@@ -136,7 +154,9 @@ def advance(
         Overwritten.
     half : ndarray, shape (20, 20)
         Overwritten on its diagonal.
-    room : ndarray, shape (23, 20)
+    pattern : Pattern
+        Of `errors_pattern`.
+    room : Room
         Of `kalman.kernels.room_for`; overwritten.
 
     Returns
@@ -172,7 +192,7 @@ def advance(
         half[9 + i, 9 + i], half[12 + i, 12 + i] = 0.5 * T * weights.accel_walk, 0.5 * T * weights.gyro_walk
     for i in range(STATES):
         P[i, i] += half[i, i]
-    propagate_into(P, Phi, half, P, room)
+    propagate_into(P, Phi, half, P, pattern, room)
     return force, (wx / T, wy / T, wz / T)
 
 
@@ -236,7 +256,7 @@ def run(
     )
     corrections, slow, half = np.zeros((m, STATES)), np.zeros(SLOW), np.zeros((STATES, STATES))
     e, H, s, r, chi2 = np.empty(ROWS), np.zeros((ROWS, STATES)), np.empty(ROWS), np.empty(ROWS), np.empty(ROWS)
-    left_out, since, room = 0, np.inf, room_for(STATES)
+    left_out, since, pattern, room = 0, np.inf, errors_pattern(), room_for(STATES)
     Phis[0] = np.eye(STATES)
     for j in range(m):
         e[:], H[:], s[:], r[:] = np.nan, 0.0, 1.0, 1.0
@@ -255,6 +275,7 @@ def run(
                 weights,
                 Phis[j],
                 half,
+                pattern,
                 room,
             )
             if still[j] > 0.0 and speeds_up(force, Phis[j], P, float(t[b] - t[a]), density[j, 0], weights):

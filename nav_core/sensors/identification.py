@@ -199,9 +199,9 @@ def _inadequate(factor: Integers, samples: int, variance: Floats, terms: str) ->
     freedom, low, high = factor.size - len(terms), 1e-3, 1.0
     for _ in range(20):
         share = np.sqrt(low * high)
-        squares, spread, misfit = _least_squares(factor, samples, variance, terms, share)
+        _, _, misfit = _least_squares(factor, samples, variance, terms, share)
         low, high = (share, high) if misfit > freedom else (low, share)
-    return squares, spread
+    return _least_squares(factor, samples, variance, terms, high)[:2]
 
 
 def _least_squares(

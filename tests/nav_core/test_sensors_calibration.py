@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import re
 
 import numpy as np
 import pytest
@@ -292,7 +293,8 @@ def test_a_band_about_a_plane_is_refused_with_the_direction_that_is_missing():
     # Far beyond the noise: the sphere's third axis is what the readings never come near.
     rng = np.random.default_rng(70)
     narrow = within(15.0, 300, rng)
-    assert "(0.00, 0.00, 1.00)" in refused(G * narrow + 1e-3 * rng.standard_normal(narrow.shape)).reason
+    reason = refused(G * narrow + 1e-3 * rng.standard_normal(narrow.shape)).reason
+    assert re.search(r"direction \(-?0\.0\d, -?0\.0\d, 1\.00\)", reason)
     wide = within(30.0, 300, rng)
     found = calibrate_positions(G * wide + 1e-3 * rng.standard_normal(wide.shape), G)
     np.testing.assert_allclose(found.gain, np.eye(3), atol=1e-3)
