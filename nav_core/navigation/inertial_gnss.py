@@ -229,6 +229,7 @@ def navigate(
     Mechanisation in T (`nav_core.strapdown`, 000 eqs. 2.5.19-2.5.23), error states and their transition
     as in Groves 2013 §14.2.4, non-holonomic and zero-velocity constraints as in §15.4 and §15.3.  Fixes are
     gated by fix flag, repetition, HDOP and satellites, and by their innovation; they count at the moment they describe.
+    Memory: about 11 kB an epoch, of which there are ten a second and two for each fix; an hour at 4 Hz takes 0.7 GB.
     """
     record = prepare(
         drive,

@@ -179,6 +179,23 @@ def test_filterpy_filters_the_same(filtered, oracle):
     assert pytest.approx(covariances, rel=1e-9, abs=1e-12) == filtered.P
 
 
+def test_without_the_covariances_of_all_epochs_the_states_are_the_same_and_the_last_stays(filtered):
+    _, z, x, P = record(1)
+    given = {"Q": PV.Q, "z": z, "H": SEEN, "r": np.array([2.25])}
+    short = kalman.filter_record(x, P, Phi=PV.Phi, **given, keep_covariances=False)
+    assert (short.x == filtered.x).all()
+    assert (short.x_prior == filtered.x_prior).all()
+    assert (short.nis == filtered.nis).all()
+    assert short.P.shape == short.P_prior.shape == (1, 2, 2)
+    assert (short.P[0] == filtered.P[-1]).all()
+    assert (short.P_prior[0] == filtered.P_prior[-1]).all()
+    with pytest.raises(ShapeError, match="keep_covariances"):
+        kalman.smooth(short, PV.Phi)
+    # Matrices given for each epoch are those given once.
+    every = kalman.filter_record(x, P, Phi=np.tile(PV.Phi, (len(z) - 1, 1, 1)), **given)
+    assert (every.x == filtered.x).all()
+
+
 def test_filterpy_smooths_the_same(filtered, oracle):
     kf, means, covariances, _, _ = oracle
     x, P, _, _ = kf.rts_smoother(means[..., None], covariances)
