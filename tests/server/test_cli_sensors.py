@@ -158,7 +158,7 @@ def test_allan_refuses_what_has_no_samples(capsys, tmp_path):
     short = write(tmp_path / "short.csv", np.arange(2.0), "f", np.zeros((2, 3)))
     assert "too few" in failed(capsys, "allan", short)
     sparse = write(tmp_path / "sparse.csv", np.array([0.0, 1.0, 1.1, 9.0, 9.1]), "f", np.zeros((5, 3)))
-    assert "2 gaps leave 2 of 5 samples in a row" in failed(capsys, "allan", sparse)
+    assert "no more than 3 of 5 samples without a gap" in failed(capsys, "allan", sparse)
     assert "--rate" in failed(capsys, "allan", sparse)
     some = write(tmp_path / "some.csv", np.arange(50.0), "f", np.ones((50, 3)))
     assert "at least 256" in failed(capsys, "allan", some)

@@ -90,8 +90,8 @@ def _regular(triad: Triad, rate: float | None, quality: list[str]) -> tuple[floa
     t = triad.t[longest]
     if len(pieces) > 1 and t.size < LEAST_SAMPLES:
         raise DriveFileError(
-            f"{triad.sensor}: {len(pieces) - 1} gaps leave {t.size} of {triad.t.size} samples in a row, "
-            f"{LEAST_SAMPLES} are needed; if only the stamps are irregular, give --rate"
+            f"{triad.sensor}: no more than {t.size} of {triad.t.size} samples without a gap, {LEAST_SAMPLES} needed; "
+            "if only the stamps are irregular, give --rate"
         )
     return float((t.size - 1) / (t[-1] - t[0])), triad.values[longest]
 
