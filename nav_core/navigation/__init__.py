@@ -7,10 +7,11 @@ record, ``kernels`` holds the compiled filter with its ``rows`` and ``gates``, a
 """
 
 from nav_core.navigation.fixes import Receiver
-from nav_core.navigation.inertial_gnss import NoGyroError, Vehicle, navigate
+from nav_core.navigation.inertial_gnss import NoGyroError, navigate
 from nav_core.navigation.outage import hidden, inside, miss, outages, radius
 from nav_core.navigation.position_velocity import navigate_without_gyro
 from nav_core.navigation.solution import Solution
+from nav_core.navigation.vehicle import Vehicle
 
 __all__ = [
     "NoGyroError",
