@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from nav_core.errors import RangeError, ShapeError
+from nav_core.mounting import estimate_mounting
 from nav_core.navigation import Receiver, Vehicle, hidden, inside, miss, navigate, outages, radius
 from nav_core.rotation import rotvec_to_matrix
 from tests.nav_core.drives_on_the_globe import world
@@ -41,6 +42,31 @@ def test_thirty_seconds_without_gps_in_town(smoothed):
     # The track the product gives is smoothed; on its own past the filter strays further once in a hundred drives.
     assert np.mean(worst < 12.0) >= (1.0 if smoothed else 0.97)
     assert worst.max() < (4.0 if smoothed else 15.0)
+    assert 0.90 <= share <= 0.99
+
+
+@pytest.mark.slow
+def test_the_mounting_out_of_the_same_drive_does_as_well():
+    """What `scatola navigate` does: mounting, its sigma and the lags from the drive with the hole in it."""
+    found = []
+    for seed in range(9000, 9050):
+        drive, truth, globe = world(seed, outages=((BEGIN, END),))
+        mounting = estimate_mounting(drive)
+        assert mounting.R_va is not None
+        assert mounting.sigma is not None
+        solution = navigate(
+            drive,
+            mounting.R_va,
+            vehicle=Vehicle(mount_sigma=float(mounting.sigma.max())),
+            speed_lag=mounting.speed_lag or 0.0,
+            course_lag=mounting.course_lag or 0.0,
+        )
+        dark = (globe.t > BEGIN) & (globe.t < END - truth.speed_lag)
+        found.append(miss(solution, globe.t[dark], globe.lat[dark], globe.lon[dark]))
+    worst = np.array([each.distance.max() for each in found])
+    share = float(np.mean([inside(each).mean() for each in found]))
+    print(f"worst {worst.max():.2f} m, median {np.median(worst):.2f} m, inside {share:.3f}")
+    assert worst.max() < 5.0
     assert 0.90 <= share <= 0.99
 
 
