@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import gammaincinv
 
 from nav_core.errors import RangeError, ShapeError
 from nav_core.typing import Floats
@@ -126,6 +125,8 @@ def consistency(squares: Floats, freedom: int, confidence: float = 0.95) -> Cons
 
 def _quantile(probability: float, freedom: int) -> float:
     # scipy.stats takes seconds to import.
+    from scipy.special import gammaincinv
+
     return 2.0 * float(gammaincinv(0.5 * freedom, probability))
 
 

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
 from nav_core.errors import CovarianceError, RangeError, ShapeError
 from nav_core.kalman import record_kernels
@@ -109,6 +108,8 @@ def update(x: Floats, P: Floats, innovation: Floats, H: Floats, R: Floats, *, ga
     CovarianceError
         If the innovation's covariance is not positive definite.
     """
+    from scipy.linalg import cho_factor, cho_solve
+
     S = H @ P @ H.T + R
     try:
         factor = cho_factor(S)
@@ -140,6 +141,8 @@ def decorrelated(z: Floats, H: Floats, R: Floats) -> tuple[Floats, Floats]:
     CovarianceError
         If `R` is not positive definite.
     """
+    from scipy.linalg import solve_triangular
+
     try:
         L = np.linalg.cholesky(R)
     except np.linalg.LinAlgError as error:

@@ -6,7 +6,6 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import chdtri
 
 from nav_core import earth
 from nav_core.errors import RangeError, ShapeError
@@ -150,6 +149,8 @@ def radius(solution: Solution, probability: float = 0.95) -> Floats:
 
 
 def _bound(probability: float) -> float:
+    from scipy.special import chdtri
+
     if not 0.0 < probability < 1.0:
         raise RangeError("probability", probability, "between 0 and 1")
     return float(chdtri(2, 1.0 - probability))

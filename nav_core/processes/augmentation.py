@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from nav_core.errors import ShapeError
 from nav_core.processes.models import Process
@@ -44,6 +43,8 @@ class Augmented(NamedTuple):
 
 def stack(*processes: Process) -> Process:
     """Independent processes side by side, e.g. three axes of one; states and noises in the order given."""
+    from scipy.linalg import block_diag
+
     return Process(
         np.asarray(block_diag(*(process.F for process in processes))),
         np.asarray(block_diag(*(process.G for process in processes))),

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import expm
 
 from nav_core.errors import RangeError, ShapeError
 from nav_core.typing import Floats
@@ -64,6 +63,8 @@ def exponential(A: Floats) -> Floats:
     ndarray, shape (..., n, n)
         ``exp(A)``, by scipy.
     """
+    from scipy.linalg import expm
+
     return np.asarray(expm(A), dtype=np.float64)
 
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import ndtri, stdtrit
 
 from nav_core.errors import PosesError, RangeError, ShapeError
 from nav_core.typing import Floats, finite
@@ -92,6 +91,8 @@ class Calibration:
         ndarray, shape (k, 2)
             In the units of `values`.
         """
+        from scipy.special import ndtri, stdtrit
+
         tail = 0.5 + 0.5 * level
         reach = ndtri(tail) if self.freedom is None else stdtrit(self.freedom, tail)
         return np.stack((self.values - reach * self.sigma, self.values + reach * self.sigma), axis=1)

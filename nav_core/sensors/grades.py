@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Literal, NamedTuple
 
 import numpy as np
-from scipy.special import i0e
 
 from nav_core.errors import RangeError, ShapeError, TooLittleDataError
 from nav_core.typing import Floats
@@ -123,6 +122,8 @@ def cep_radius(covariance: Floats, probability: float = 0.5) -> float:
     000 section 1.3.2 speaks of the growth of the error ellipse.  The distribution of the radius is integrated over
     the ellipse of the given covariance; with equal axes the CEP is 1.1774 sigma.
     """
+    from scipy.special import i0e
+
     P = np.asarray(covariance, dtype=np.float64)
     if P.shape != (2, 2):
         raise ShapeError("covariance", P.shape, "(2, 2)")

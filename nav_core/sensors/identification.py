@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from scipy.special import chdtrc, chdtri, ndtri
 
 from nav_core.errors import ConstantError, RangeError, TooLittleDataError
 from nav_core.sensors.allan import AllanDeviation, allan_deviation, cluster_factors
@@ -104,6 +103,8 @@ def identify(x: Floats, rate: float, *, terms: str = "NBK", level: float = 0.95,
     the squares, fitted to octaves of tau up to a quarter of the recording.  Reading the coefficients off the
     slopes, as 002 does, needs a stretch of the curve where one term is alone, which B rarely has.
     """
+    from scipy.special import chdtrc
+
     if not terms or set(terms) - set(TERMS):
         raise RangeError("number of known terms", float(len(set(terms) & set(TERMS))), f"only {', '.join(TERMS)}")
     if not 0.0 < level < 1.0:
@@ -189,6 +190,8 @@ def confidence(curve: AllanDeviation, freedom: Floats, level: float = 0.95) -> t
     low, high : ndarray, shape (k,)
         In the unit of the curve; chi-squared, equal tails.
     """
+    from scipy.special import chdtri
+
     tail = 0.5 * (1.0 - level)
     low = curve.sigma * np.sqrt(freedom / chdtri(freedom, tail))
     return low, curve.sigma * np.sqrt(freedom / chdtri(freedom, 1.0 - tail))
@@ -240,6 +243,8 @@ def _nonnegative(A: Floats, y: Floats) -> Floats:
 
 def _interval(squares: Floats, spread: Floats, level: float) -> tuple[Floats, Floats]:
     """Ends for the squares: of the logarithm where they are well known, else the wider of both kinds."""
+    from scipy.special import ndtri
+
     z = float(ndtri(0.5 + 0.5 * level))
     relative = spread / np.maximum(squares, 1e-300)
     known = relative < 0.5

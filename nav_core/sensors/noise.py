@@ -1,9 +1,6 @@
 """Noise of inertial and magnetic sensors: coefficients, and samples that have them (002 ch. 5).
 
 Units: with readings in a unit u (rad/s, m/s², µT), N is in u/√Hz, B in u, K in u√Hz and Q in u s.
-
-Parts of scipy that bring much and serve one function (signal, optimize, interpolate) are imported there: together they
-would double the time that a process needs to start.
 """
 
 from __future__ import annotations
@@ -11,7 +8,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.fft import irfft, next_fast_len
 
 from nav_core.errors import RangeError
 from nav_core.processes import gauss_markov_discrete
@@ -164,6 +160,8 @@ def flicker(count: int, rng: np.random.Generator) -> Floats:
     Synthesised line by line from the density ``1 / (2 pi f)``, weighted with the transfer of the mean over a period
     and folded at the sampling rate, over at least twice the length: lower frequencies shift all samples alike.
     """
+    from scipy.fft import irfft, next_fast_len
+
     length: int = next_fast_len(2 * max(count, 8), real=True)  # pyright: ignore[reportAssignmentType]  untyped in scipy
     x = np.arange(1, length // 2 + 1) / length
     # Sum over all images of 1 / |x + k|³; beyond the second it is replaced by its integral.

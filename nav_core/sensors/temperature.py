@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import stdtrit
 
 from nav_core.errors import RangeError, ShapeError, TooLittleDataError
 from nav_core.sensors.calibration import check_readings
@@ -57,6 +56,8 @@ class TemperatureFit:
         ndarray, shape (3, 2)
             Sensor's unit per °C.
         """
+        from scipy.special import stdtrit
+
         reach = stdtrit(len(self.residuals) - 2, 0.5 + 0.5 * level) * np.sqrt(self.covariance[:, 1, 1])
         return np.stack((self.slope - reach, self.slope + reach), axis=1)
 
