@@ -136,6 +136,16 @@ def test_what_a_reader_of_the_track_must_know_is_remarked(recording, tmp_path, c
     assert np.isfinite(values[:, header.index("vd_sigma")]).all()
 
 
+def test_fixes_without_speed_are_named(recording, tmp_path, capsys):
+    folder, _ = recording
+    drive = read_drive_file(folder / "drive.csv")
+    nothing = np.full(drive.gnss.t.size, np.nan)
+    bare = tmp_path / "bare.csv"
+    write_drive_file(bare, from_drive(replace(drive, gnss=replace(drive.gnss, speed=nothing, course=nothing))))
+    assert main(["navigate", str(bare), "--out", str(tmp_path / "track.csv")]) == 1
+    assert "no speed and course" in capsys.readouterr().err
+
+
 def test_pulses_date_the_track_and_tell_how_late_fixes_arrive(recording, tmp_path, capsys):
     """The box clock runs 30 ppm fast of UTC's second; the receiver answers 0.27 s after the moment of its fix."""
     folder, truth = recording

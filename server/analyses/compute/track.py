@@ -55,6 +55,8 @@ class Clock(NamedTuple):
 
 def mounting_of(drive: Drive) -> Mounting:
     """From the drive itself."""
+    if drive.gnss.fix.any() and not np.isfinite(drive.gnss.speed).any():
+        raise ValueError("the fixes tell no speed and course, which mounting and track are made of")
     return mounting_from(estimate_mounting(drive), "the drive itself")
 
 
