@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 import numpy as np
 from PIL import Image
-from playwright.sync_api import Locator
+from playwright.sync_api import Locator, Page
 
 # Software rendering on a busy machine: viser's page needs seconds to come up.
 PATIENCE_MS = 90_000
@@ -26,6 +26,13 @@ def coloured(picture: bytes) -> dict[str, int]:
         "blue": int(((b > r + 60) & (b > g + 25)).sum()),
         "orange": int(((r > g + 40) & (g > b + 35)).sum()),
     }
+
+
+def wait_true(page: Page, expression: str) -> None:
+    """Until an expression holds in the page; asked from outside, because the pages' policy lets no string be run."""
+    until = time.monotonic() + PATIENCE_MS / 1000.0
+    while not page.evaluate(expression):
+        assert time.monotonic() < until, expression
 
 
 def wait_coloured(scene: Locator, enough: Callable[[dict[str, int]], bool]) -> dict[str, int]:

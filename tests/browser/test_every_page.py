@@ -12,6 +12,7 @@ from playwright.sync_api import expect
 from sqlalchemy import select
 
 from server.models import Device
+from tests.browser.scenes import wait_true
 from tests.browser.test_pages import CONTRAST
 from tests.conftest import missing_service
 
@@ -38,7 +39,7 @@ def keep(page, screenshot, name):
     page.evaluate("scrollTo(0, 0)")
     for width, which in ((1280, "desk"), (390, "phone")):
         page.set_viewport_size({"width": width, "height": 844})
-        page.wait_for_function("document.documentElement.scrollWidth <= window.innerWidth")
+        wait_true(page, "document.documentElement.scrollWidth <= window.innerWidth")
         for scheme in ("dark", "light"):
             page.emulate_media(color_scheme=scheme)
             assert page.evaluate(CONTRAST) == []
@@ -106,7 +107,7 @@ def test_axe_width_contrast_and_language(site, open_page, screenshot, name):
     page.evaluate(axe_source())
     for width in (320, 390, 768, 1280):
         page.set_viewport_size({"width": width, "height": 844})
-        page.wait_for_function("document.documentElement.scrollWidth <= window.innerWidth")
+        wait_true(page, "document.documentElement.scrollWidth <= window.innerWidth")
         for scheme in ("light", "dark"):
             page.emulate_media(color_scheme=scheme)
             assert page.evaluate(CONTRAST) == []

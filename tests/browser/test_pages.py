@@ -15,6 +15,7 @@ from playwright.sync_api import expect
 
 from server.live.changes import announce
 from server.models import Device, DeviceState, Installation
+from tests.browser.scenes import wait_true
 from tests.browser.seeding import add_box_without_vehicle
 
 
@@ -241,7 +242,7 @@ def test_every_width_fits_and_every_text_has_contrast(site, open_page, screensho
         expect(page.locator("#live")).to_have_attribute("data-state", "on")
     for width in (320, 390, 768, 1440):
         page.set_viewport_size({"width": width, "height": 844})
-        page.wait_for_function("document.documentElement.scrollWidth <= window.innerWidth")
+        wait_true(page, "document.documentElement.scrollWidth <= window.innerWidth")
         for scheme in ("light", "dark"):
             page.emulate_media(color_scheme=scheme)
             assert page.evaluate(CONTRAST) == []
