@@ -21,7 +21,7 @@ from server.accounts.users import erase_user, user_holdings, user_of
 from server.database import Database
 from server.errors import ConflictError, NotFoundError
 from server.events.canonical import sha256
-from server.events.holds import held, trip_held
+from server.events.holds import alert_held, claim_held, held, trip_held
 from server.evidence.package import instant
 from server.models import (
     AccidentClaim,
@@ -118,8 +118,8 @@ def vehicle_holdings(session: Session, subject: Subject) -> tuple[Counts, Kept]:
         "batches": 0,
         "trips": _count(session, Trip.id, *subject.trips(), ~trip_held()),
         "track_points": _points(session, *subject.trips(), ~trip_held()),
-        "alerts": _count(session, Alert.id, *subject.alerts()),
-        "claims": _count(session, AccidentClaim.id, *subject.claims()),
+        "alerts": _count(session, Alert.id, *subject.alerts(), ~alert_held()),
+        "claims": _count(session, AccidentClaim.id, *subject.claims(), ~claim_held()),
         "diagnosis": sum(
             _count(session, Diagnosis.value, *subjects.diagnosis(stay)) for stay in subjects.stays(session, subject)
         ),
@@ -135,12 +135,15 @@ def vehicle_holdings(session: Session, subject: Subject) -> tuple[Counts, Kept]:
         {"what": "event", "id": row.id, "count": 1, "why": f"legal hold since {instant(row.held_at or row.at)}"}
         for row in held_events
     ]
-    for what, count in (
-        ("batches", kept_batches),
-        ("trips", _count(session, Trip.id, *subject.trips(), trip_held())),
+    for what, count, how in (
+        ("batches", kept_batches, "rests on them"),
+        ("trips", _count(session, Trip.id, *subject.trips(), trip_held()), "rests on them"),
+        ("alerts", _count(session, Alert.id, *subject.alerts(), alert_held()), "they were raised for"),
+        ("claims", _count(session, AccidentClaim.id, *subject.claims(), claim_held()), "they may be about"),
     ):
         if count:
-            kept.append({"what": what, "id": None, "count": count, "why": "legal hold on an event that rests on them"})
+            why = f"legal hold on an event that {how}"
+            kept.append({"what": what, "id": None, "count": count, "why": why})
     if subject.whole and kept:
         kept.append({"what": "name and plate", "id": subject.vehicle_id, "count": 1, "why": "legal hold on an event"})
     of_vehicle = AuditEntry.organisation_id == subject.organisation_id, AuditEntry.subject.contains(subject.vehicle_id)
@@ -307,7 +310,8 @@ def _erase_vehicle(
 
 def _erase_small(session: Session, subject: Subject, stays: Sequence[subjects.Stay]) -> Counts:
     """A piece of what has no tombstone."""
-    claims = list(session.scalars(select(AccidentClaim.id).where(*subject.claims()).limit(tombstones.CHUNK)))
+    of_claims = select(AccidentClaim.id).where(*subject.claims(), ~claim_held())
+    claims = list(session.scalars(of_claims.limit(tombstones.CHUNK)))
     session.execute(delete(AccidentClaim).where(AccidentClaim.id.in_(claims)))
     values = (tombstones.delete_diagnosis(session, stay.device_id, *subjects.diagnosis(stay)) for stay in stays)
     return {

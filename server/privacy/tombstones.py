@@ -15,7 +15,7 @@ from sqlalchemy import ColumnElement, delete, func, or_, select, tuple_, update
 from sqlalchemy.orm import Session
 
 from server.database import Database
-from server.events.holds import held, trip_held
+from server.events.holds import alert_held, held, trip_held
 from server.models import (
     Alert,
     Batch,
@@ -206,8 +206,9 @@ def _delete_points(session: Session, trips: Sequence[str]) -> int:
 
 
 def delete_alerts(session: Session, *wanted: ColumnElement[bool]) -> int:
-    """Delete the first of the wanted alerts with the messages sent of them; how many alerts."""
-    ids = list(session.scalars(select(Alert.id).where(*wanted).order_by(Alert.created_at, Alert.id).limit(ROWS)))
+    """Delete the first of the wanted alerts that no hold keeps, with the messages sent of them; how many alerts."""
+    query = select(Alert.id).where(~alert_held(), *wanted).order_by(Alert.created_at, Alert.id)
+    ids = list(session.scalars(query.limit(ROWS)))
     session.execute(delete(Alert).where(Alert.id.in_(ids)))
     return len(ids)
 

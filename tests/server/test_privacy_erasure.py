@@ -178,6 +178,10 @@ def test_a_vehicle_is_erased_and_its_certificate_agrees_with_the_chain(fleet, ad
 @both
 def test_a_hold_makes_an_erasure_partial(fleet, admin, vehicle_url):
     event = crash_of(fleet)
+    tell(fleet, at=event.at)
+    tell(fleet, at=event.at + dt.timedelta(hours=1))
+    with fleet.database.transaction() as session:
+        session.execute(sa.update(Alert).where(Alert.at == event.at).values(event_id=event.id))
     admin.put(f"/api/v1/events/{event.id}/hold", json={"held": True, "reason": "claim 17"}).raise_for_status()
     plan = admin.post(f"{vehicle_url}/erasure", json={"reason": "asked", "dry_run": True}).json()
     kept = {row["what"]: row["count"] for row in plan["would_keep"]}
@@ -186,7 +190,12 @@ def test_a_hold_makes_an_erasure_partial(fleet, admin, vehicle_url):
     admin.post(f"{vehicle_url}/erasure", json={"reason": "asked"}).raise_for_status()
     run(fleet)
     shown = admin.get("/api/v1/erasures").json()[0]
-    assert {row["what"] for row in shown["kept"]} == {"event", "batches", "trips", "name and plate", "audit entries"}
+    about_it = {"event", "batches", "trips", "alerts", "claims"}
+    assert {row["what"] for row in shown["kept"]} == {*about_it, "name and plate", "audit entries"}
+    # Of alerts and claims, those of that event and no others.
+    assert {row.event_id for row in fleet.rows(Alert)} == {event.id}
+    assert [row.began_at for row in fleet.rows(AccidentClaim)] == [event.at]
+    assert kept["claims"] == 1
     assert fleet.one(Vehicle).plate == "AB123CD"
     rows = fleet.rows(Batch)
     assert len([row for row in rows if row.erasing_at is None]) == kept["batches"]
@@ -202,6 +211,7 @@ def test_a_hold_makes_an_erasure_partial(fleet, admin, vehicle_url):
     admin.post(f"{vehicle_url}/erasure", json={"reason": "again"}).raise_for_status()
     run(fleet)
     assert all(row.erased_at is not None for row in fleet.rows(Batch))
+    assert fleet.rows(Alert) == fleet.rows(AccidentClaim) == []
     assert audit(fleet.database, fleet.store, fleet.device_id).passed
 
 
