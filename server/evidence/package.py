@@ -136,6 +136,7 @@ def archive(
 ) -> bytes:
     """The archive's bytes; its manifest signed and timestamped as the settings say."""
     number, content = material.revisions[-1]
+    of_event = {"event_id": heading.event_id, "revision": number}
     files: dict[str, bytes] = {
         "README.txt": README.encode(),
         "verify.py": _VERIFIER.read_bytes(),
@@ -144,7 +145,7 @@ def archive(
         "report-it.pdf": report_pdf(document, heading, "it"),
         "edr.json": orjson.dumps(exports.edr_json(document, heading.event_sha256), option=orjson.OPT_INDENT_2),
         "edr.csv": exports.edr_csv(document),
-        "chain.json": json.dumps(chain_json(material), indent=1).encode(),
+        "chain.json": json.dumps(chain_json(material) | of_event, indent=1).encode(),
     }
     files |= {f"revisions/{k}.json": earlier for k, earlier in material.revisions[:-1]}
     for batch in material.needed:
@@ -155,8 +156,7 @@ def archive(
             files["seal.tsr"] = material.seal.timestamp_token
     manifest = {
         "schema": "scatola-evidence-1",
-        "event_id": heading.event_id,
-        "revision": number,
+        **of_event,
         "event_sha256": heading.event_sha256,
         "files": {name: sha256(data).hexdigest() for name, data in sorted(files.items())},
     }
