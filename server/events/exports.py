@@ -74,6 +74,12 @@ def utc_t0(document: dict[str, Any]) -> float:
     return by_fixes if by_fixes is not None else clock["utc_offset_s"] + (1.0 + clock["utc_drift"]) * t0
 
 
+def utc_sigma_s(document: dict[str, Any]) -> float:
+    """1 sigma of `utc_t0`, s."""
+    by_fixes: float | None = document["event"]["basis"]["utc_sigma_s"]
+    return document["inputs"]["clock"]["utc_sigma_s"] if by_fixes is None else by_fixes
+
+
 def used(document: dict[str, Any], batches: Sequence[Batch]) -> list[Batch]:
     """Those of an event's batches that this revision rests on."""
     named = {batch["chain_index"] for batch in document["inputs"]["batches"]}

@@ -6,6 +6,7 @@ import datetime as dt
 from collections.abc import Mapping
 from typing import Any, cast
 
+from server.events.exports import utc_sigma_s
 from server.reports.words import Words
 
 Row = tuple[str, str, str, str]
@@ -43,16 +44,14 @@ def _scaled(value: Any, factor: float) -> Any:
 
 def sentences(document: dict[str, Any], words: Words, at: dt.datetime) -> list[str]:
     """What happened, in words with numbers."""
-    event, clock = document["event"], document["inputs"]["clock"]
-    number = words.number
-    sigma = event["basis"]["utc_sigma_s"] if event["basis"]["utc_sigma_s"] is not None else clock["utc_sigma_s"]
+    event, number = document["event"], words.number
     told = [
         words(
             "s_what",
             kind=words(event["kind"]),
             date=words.date(at.year, at.month, at.day),
             time=clock_time(at, words),
-            sigma=words.spread(sigma),
+            sigma=words.spread(utc_sigma_s(document)),
         )
     ]
     if event["pdof_deg"] is not None:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from reportlab.lib.styles import ParagraphStyle
 from reportlab.platypus import Flowable, Paragraph, Table, TableStyle
 
+from server.events.exports import utc_sigma_s
 from server.reports.figures import basis_rows, clock_time, hours, number_rows, risk_rows
 from server.reports.paper import (
     ACCENT,
@@ -204,10 +205,13 @@ def speed_plot(way: dict[str, Any], words: Words, width: float) -> Flowable:
 def maps(document: dict[str, Any], words: Words, width: float) -> tuple[Table, str]:
     """The whole way, and the place of the impact close up."""
     way, event = document["curves"]["trajectory"], document["event"]
-    rest = None if event["rest"] is None else {**event["rest"], "t0_s": event["t0_s"]}
+    rest = None if event["rest"] is None else event["rest"]["t_s"] - event["t0_s"]
+    others = [each["t0_s"] - event["t0_s"] for each in event["second_impacts"]]
     half = 0.5 * width - 5
-    whole = WayMap(way, words, half, 235, title=words("map_all"), span_s=(-30.0, 30.0), rest=rest)
-    near = WayMap(way, words, half, 235, title=words("map_near"), span_s=(-3.0, 8.0), rest=rest)
+    whole, near = (
+        WayMap(way, words, half, 235, title=words(title), span_s=span_s, rest=rest, others=others)
+        for title, span_s in (("map_all", (-30.0, 30.0)), ("map_near", (-3.0, 8.0)))
+    )
     table = Table([[whole, near]], colWidths=[half + 10, half])
     table.setStyle(TableStyle([("LEFTPADDING", (0, 0), (-1, -1), 0), ("RIGHTPADDING", (0, 0), (-1, -1), 0)]))
     return table, words("map_note", grid=f"{words.short(whole.grid)}; {words.short(near.grid)}")
@@ -250,7 +254,7 @@ def provenance_tables(document: dict[str, Any], event_sha256: str, words: Words,
         (words("p_event"), Paragraph(event_sha256, HASH)),
         (words("p_inputs"), Paragraph(inputs["sha256"], HASH)),
         (words("p_mounting"), f"{mounting['method']} · {mounting['algorithm'] or words('not_recorded')}"),
-        (words("p_clock"), words(how, s=words.spread(clock["utc_sigma_s"]))),
+        (words("p_clock"), words(how, s=words.spread(utc_sigma_s(document)))),
     ]
     heads: list[Any] = [words(key) for key in ("p_link", "p_stream", "p_span", "p_body", "p_columns")]
     # The batches that hold time zero are never among those left out.

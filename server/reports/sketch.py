@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -122,10 +123,12 @@ class WayMap(Flowable):
         *,
         title: str,
         span_s: tuple[float, float],
-        rest: dict[str, Any] | None,
+        rest: float | None,
+        others: Sequence[float],
     ) -> None:
         super().__init__()
-        self._way, self._words, self._title, self._rest = way, words, title, rest
+        self._way, self._words, self._title = way, words, title
+        self._rest, self._others = rest, others
         self.width, self.height = width, height
         rows = zip(
             way["t_s"],
@@ -209,23 +212,31 @@ class WayMap(Flowable):
 
     def _draw_marks(self, canvas: Canvas, before: list[Any], after: list[Any]) -> None:
         canvas.setFont(PLAIN, 7)
-        places: list[tuple[str, float, float, Any]] = [("impact", 0.0, 0.0, ALARM)]
+        places: list[tuple[str, float, float, Any]] = []
+        # Numbered in order of time, as in the table; the strongest is at zero.
+        for k, t in enumerate(sorted([0.0, *self._others]), start=1):
+            row = (0.0, 0.0, 0.0) if t == 0.0 else self._row_at(t)
+            if row is not None:
+                name = f"{self._words('impact')} {k}" if self._others else self._words("impact")
+                places.append((name, row[1], row[2], ALARM))
         if before:
-            places.append(("start", before[0][1], before[0][2], ACCENT))
-        if after and self._rest is not None:
-            t_rest = self._rest["t_s"] - self._rest["t0_s"]
-            row = min(after, key=lambda row: abs(row[0] - t_rest))
-            if abs(row[0] - t_rest) < 2.0:
-                places.append(("rest", row[1], row[2], INK))
+            places.append((self._words("start"), before[0][1], before[0][2], ACCENT))
+        rest = None if self._rest is None or not after else self._row_at(self._rest)
+        if rest is not None:
+            places.append((self._words("rest"), rest[1], rest[2], INK))
         dots = [self._at(east, north) for _, east, north, _ in places]
         taken = [(x - 3.0, y - 3.0, x + 3.0, y + 3.0) for x, y in dots] + self._occupied()
         for (name, _, _, colour), (px, py) in zip(places, dots, strict=True):
             canvas.setFillColor(colour)
             canvas.circle(px, py, 2.6, stroke=0, fill=1)
-            text = self._words(name)
-            box = room_beside(px, py, stringWidth(text, PLAIN, 7), taken)
+            box = room_beside(px, py, stringWidth(name, PLAIN, 7), taken)
             taken.append(box)
-            canvas.drawString(box[0], box[1] + 1.5, text)
+            canvas.drawString(box[0], box[1] + 1.5, name)
+
+    def _row_at(self, t: float) -> Any:
+        """The row nearest to a moment, s from time zero; None of one that the map does not reach."""
+        row = min(self._rows, key=lambda row: abs(row[0] - t), default=None)
+        return None if row is None or abs(row[0] - t) > 2.0 else row
 
     def _occupied(self) -> list[Box]:
         """Where no word may stand: along the way, under the scale and the key, at the arrow, outside of the frame."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import datetime as dt
+import io
 import re
 import string
 import time
@@ -12,6 +13,7 @@ from pathlib import Path
 import pytest
 import rich
 from crash_world import braking, crash
+from reportlab.pdfgen.canvas import Canvas
 
 from nav_core.crash.injury import CURVES
 from server.events.canonical import settle, sha256
@@ -174,6 +176,34 @@ def test_report_elements_and_replay_together_take_under_two_seconds_of_cpu():
     rich.reconfigure(quiet=False)
     print(f"report, elements and replay: {took:.2f} s of CPU")
     assert took < 2.0
+
+
+def test_the_map_marks_every_blow_in_order_of_time():
+    class Said(Canvas):
+        words: list[str]
+
+        def drawString(self, x, y, text, *more, **options):
+            self.words.append(text)
+            super().drawString(x, y, text, *more, **options)
+
+    load_fonts()
+    one, two = crash(100.0), dataclasses.replace(crash(100.0), second_impacts=())
+    for event, wanted in ((one, {"impact 1", "impact 2"}), (two, {"impact"})):
+        table, _ = parts.maps(document_from(event), Words("en"), 500.0)
+        for way in table._cellvalues[0]:
+            canvas = Said(io.BytesIO())
+            canvas.words = []
+            way.drawOn(canvas, 0.0, 0.0)
+            assert {word for word in canvas.words if word.startswith("impact")} == wanted
+
+
+def test_the_clock_is_as_good_in_every_row():
+    load_fonts()
+    document = document_from(crash(100.0))
+    spread = Words("en").spread(document["event"]["basis"]["utc_sigma_s"])
+    (rows, *_) = parts.provenance_tables(document, "0" * 64, Words("en"), 500.0)
+    assert spread in " ".join(cell.getPlainText() for row in rows._cellvalues for cell in row)
+    assert spread in sentences(document, Words("en"), dt.datetime(2026, 3, 1, tzinfo=dt.UTC))[0]
 
 
 @pytest.mark.parametrize("apart", [(0.0, 0.0), (3.0, 2.0), (-12.0, 0.0), (6.0, -4.0), (0.0, 9.0), (30.0, 1.0)])
