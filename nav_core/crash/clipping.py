@@ -30,6 +30,9 @@ ROUND = 2.0
 """A smooth peak is within `NEAR` of its top three times as long as within `FLAT`, being a parabola there whatever the
 rate; a rail is met at a slope.  Less than so many times as long is a rail."""
 
+ONE_STEP = 0.02
+"""By so much of the larger the smaller rail may lie lower: one step of eight bits is 1 in 128."""
+
 DIRECTION = 0.06
 """How far, at the least, the direction of a force strays within a pulse, rad, 1 sigma."""
 
@@ -80,7 +83,20 @@ def saturated(f_a: Floats, known: float | None = None) -> Saturation:
     expected = known is not None and top >= (1.0 - FLAT) * known
     flat, near = _longest_run(at_top, size >= (1.0 - NEAR) * top)
     rail = near < ROUND * flat if flat >= RUN else sold
-    return Saturation(at_top, top) if rail or expected else nothing
+    return Saturation(at_top | _lower_rail(f_a, top), top) if rail or expected else nothing
+
+
+def _lower_rail(f_a: Floats, top: float) -> Flags:
+    """Samples at the rail of the other sign where it lies a little lower: two's complement reaches -128 and 127."""
+    found = np.zeros(f_a.shape, dtype=np.bool_)
+    for side in (f_a, -f_a):
+        peak = float(side.max(initial=0.0))
+        if (1.0 - ONE_STEP) * top <= peak < (1.0 - FLAT) * top:
+            at_peak = side >= (1.0 - FLAT) * peak
+            flat, near = _longest_run(at_peak, side >= (1.0 - NEAR) * peak)
+            if flat >= RUN and near < ROUND * flat:
+                found |= at_peak
+    return found
 
 
 def _longest_run(flags: Flags, wider: Flags) -> tuple[int, int]:

@@ -26,6 +26,9 @@ DISAGREES = 18.0
 """Chi square of two degrees of freedom beyond which fixes and accelerometer contradict each other (1 in 8000)."""
 
 
+LARGEST = 45.0
+"""Changes beyond this are less and less likely, m/s: no road crash has them, the tails of a factor do."""
+
 WIDER = (2.0, 4.0)
 """How many times worse than it thought a guess at what clipping hides may be, where the fixes say so."""
 
@@ -43,6 +46,8 @@ class Change(NamedTuple):
         1 sigma of the logarithm of the factor on `missing`.
     covariance : ndarray, shape (2, 2)
         Of the rest, m²/s².
+    stray : float
+        1 sigma of the direction of what is missing, rad.
     turn : float
         1 sigma of the direction of the axes, rad: turns the change and leaves its size.
     """
@@ -52,6 +57,7 @@ class Change(NamedTuple):
     spread: float
     covariance: Floats
     turn: float = 0.0
+    stray: float = 0.0
 
 
 class Cloud(NamedTuple):
@@ -64,9 +70,9 @@ class Cloud(NamedTuple):
     weights : ndarray, shape (k,)
         Sum 1.
     mean : ndarray, shape (2,)
-        m/s; of what spreads over an arc, the middle of the arc.
+        m/s, at the median of the factor; of what spreads over an arc, the middle of the arc.
     factor : float
-        Mean factor on what was missing.
+        Median factor on what was missing.
     fused : bool
         Whether the fixes took part.
     chi2 : float
@@ -202,35 +208,45 @@ def _fused(change: Change, gps: Floats | None, gps_covariance: Floats | None) ->
     odds = -(FREEDOM + 1.0) * np.log1p(u**2 / FREEDOM)  # twice the logarithm
     factor, prior = np.exp(change.spread * u), np.exp(0.5 * odds)
     centres = change.recorded + factor[:, None] * change.missing
+    prior /= 1.0 + (np.hypot(*centres.T) / LARGEST) ** 8
     d = change.recorded + change.missing
     across = np.array([-d[1], d[0]])
-    covariance = change.covariance + change.turn**2 * np.outer(across, across)
-    share = change.turn**2 * float(d @ d) ** 2 / max(float(across @ covariance @ across), 1e-12)
+    turned = change.turn**2 * np.outer(across, across)
+    share = change.turn**2 * float(d @ d) ** 2 / max(float(across @ (change.covariance + turned) @ across), 1e-12)
+    # Size and direction of the guess have one bivariate Student's distribution: off by much in one, in the other too.
+    stray = change.stray * np.sqrt((FREEDOM + u**2) / (FREEDOM + 1.0))
+    aside = np.outer(factor * stray, [-change.missing[1], change.missing[0]])
+    covariance = change.covariance + turned + aside[:, :, None] * aside[:, None, :]
     weights, chi2, fused = prior, 0.0, False
     if gps is not None and gps_covariance is not None:
         total = covariance + gps_covariance
-        r = gps - centres
-        distance = np.einsum("ni,ij,nj->n", r, np.linalg.inv(total), r)
+        inverse, r = np.linalg.inv(total), gps - centres
+        distance = np.einsum("ni,nij,nj->n", r, inverse, r)
         chi2 = float(np.min(distance - odds))
         if chi2 <= DISAGREES:
+            distance += np.log(np.linalg.det(total))
             weights = prior * np.exp(-0.5 * (distance - distance.min()))
-            gain = covariance @ np.linalg.inv(total)
-            centres, covariance, fused = centres + r @ gain.T, covariance - gain @ covariance, True
+            gain = covariance @ inverse
+            centres, covariance = centres + np.einsum("nij,nj->ni", gain, r), covariance - gain @ covariance
+            fused = True
     weights = weights / weights.sum()
-    root = np.linalg.cholesky(0.5 * (covariance + covariance.T) + 1e-12 * np.eye(2))
-    points = _around(centres, _normal_points() @ root.T, share).reshape(-1, 2)
-    mean = weights @ centres
-    return Cloud(points, np.repeat(weights / POINTS, POINTS), mean, float(weights @ factor), fused, chi2)
+    root = np.linalg.cholesky(0.5 * (covariance + covariance.swapaxes(1, 2)) + 1e-12 * np.eye(2))
+    points = _around(centres, np.einsum("kj,nij->nki", _normal_points(), root), share).reshape(-1, 2)
+    # The median of the factor: a mean would be that of its tail.
+    middle = np.cumsum(weights) - 0.5 * weights
+    mean = np.array([np.interp(0.5, middle, column) for column in centres.T])
+    at = float(np.interp(0.5, middle, factor))
+    return Cloud(points, np.repeat(weights / POINTS, POINTS), mean, at, fused, chi2)
 
 
 def _around(centres: Floats, off: Floats, share: float) -> Floats:
-    """Points around each centre, shape (n, k, 2): this share of what they are off sideways is a turn.
+    """Points around each centre, both (n, k, 2) and off: this share of what they are off sideways is a turn.
 
     Displaced along the tangent instead, an unsure direction would make the magnitude larger.
     """
-    c, d = (each[:, 0] + 1j * each[:, 1] for each in (centres, off))
+    c, d = (each[..., 0] + 1j * each[..., 1] for each in (centres, off))
     size = np.maximum(np.abs(c), 1e-9)[:, None]
-    local = d[None] * np.conj(c)[:, None] / size
+    local = d * np.conj(c)[:, None] / size
     turned = np.exp(1j * share * local.imag / size)
     points = c[:, None] / size * (size + local.real + 1j * (1.0 - share) * local.imag) * turned
     return np.stack((points.real, points.imag), axis=-1)

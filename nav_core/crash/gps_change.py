@@ -33,17 +33,7 @@ UNKNOWN_LAG, UNKNOWN_LAG_SIGMA = 0.35, 0.35
 """Of a receiver of which nothing is known, s."""
 
 BEFORE = 4.0
-AFTER = 2.5
-"""Fixes that are used describe moments at most this long before and after the blow, s."""
-
-WALK = 0.6
-GAP_WALK = 3.0
-"""How fast velocity is presumed to stray from what the accelerometer says after a blow, m/s/√s, and where it says
-nothing; the fixes that follow may show that it strays less, or more."""
-
-SETTLED, COURSE_SETTLED = 0.12, 0.4
-"""Speeds and courses from within this time after a blow may still be from before, s: lags are not known exactly, that
-of the course least."""
+"""Fixes that are used describe moments at most this long before a blow, s."""
 
 SLOW = 1.0
 """Below this speed a course is not to be relied on, m/s."""
@@ -85,14 +75,6 @@ class Level(NamedTuple):
 
     f: Floats
     sigma: float
-
-
-class After(NamedTuple):
-    """Horizontal velocity at the end of the window, V axes at time zero, m/s, (2,), with covariance (2, 2)."""
-
-    velocity: Floats
-    covariance: Floats
-    fixes: int
 
 
 def lags_of(speed: float | None, course: float | None) -> Lags:
@@ -327,68 +309,3 @@ def _gained(
     then = np.column_stack([np.interp(inside, t, v[:, axis]) for axis in range(3)])
     unseen = np.maximum(inside - at, 0.0)
     return now - then, level * (t0 - inside) + unsteady * unseen
-
-
-def _walks(t: Floats, v: Floats) -> tuple[float, float]:
-    """How fast velocity strays, m²/s³, with samples and without: as presumed, then as the fixes show it.
-
-    Mean of an inverse-gamma posterior whose prior weighs half as much as one step in two axes.
-    """
-    steps = np.diff(v, axis=0)
-    noise = 2.0 * 0.5 * SPEED_NOISE**2
-    shown = np.maximum((steps**2).sum(axis=1) - 2.0 * noise, 0.0) / np.maximum(np.diff(t), 0.05)
-    count = 1.0 + 2.0 * shown.size
-    total = float(shown.sum())
-    return (WALK**2 + total) / count, (GAP_WALK**2 + total) / count
-
-
-def after(gnss: Gnss, lags: Lags, known: Before, t_end: float, path: tuple[Floats, Floats]) -> After | None:
-    """Velocity right after the blow from the fixes that follow it.
-
-    Parameters
-    ----------
-    gnss : Gnss
-        As `usable` gave it.
-    lags : Lags
-    known : Before
-        Its course is where V x pointed at time zero.
-    t_end : float
-        The moment asked for, box clock, s.
-    path : tuple of ndarray
-        Moments from `t_end` on, s, shape (m,), and the horizontal velocity gained since, V axes at time zero,
-        m/s, shape (m, 2).
-
-    Returns
-    -------
-    After or None
-        None without a fix, or without a course before.
-    """
-    described = gnss.t - lags.speed
-    late = 2.0 * lags.sigma * (lags.sigma > LAG_SIGMA)
-    use = (described >= t_end + SETTLED + late) & (gnss.t - lags.course >= t_end + COURSE_SETTLED + late)
-    use &= described <= t_end + AFTER
-    if not use.any() or not np.isfinite(known.course):
-        return None
-    at, speed = described[use], gnss.speed[use]
-    # Speed and course of a fix describe two moments: the course must not be that of a crawl.
-    then = np.interp(gnss.t[use] - lags.course, described, gnss.speed)
-    told = np.isfinite(gnss.course[use]) & (np.minimum(speed, then) >= SLOW)
-    course = np.where(told, gnss.course[use] - known.course, 0.0)
-    z = np.where(told, speed, 0.0)[:, None] * np.stack((np.cos(course), np.sin(course)), axis=1)
-    moments, gained = path
-    seen = np.column_stack([np.interp(at, moments, gained[:, axis]) for axis in range(2)])
-    later = np.column_stack([np.interp(at + lags.sigma, moments, gained[:, axis]) for axis in range(2)])
-    elapsed = at - t_end
-    covered = np.clip(moments[-1] - t_end, 0.0, elapsed)
-    walk, gap_walk = _walks(at[told], (z - seen)[told])
-    spread = walk * covered + gap_walk * (elapsed - covered)
-    crawl = np.diag(np.where(told, 0.0, 0.5 * speed**2))  # in any direction
-    C = repeating(at, SPEED_NOISE) + np.minimum(spread[:, None], spread[None, :]) + crawl
-    values = np.empty(2)
-    P = np.zeros((2, 2))
-    for axis in range(2):
-        late = later[:, axis] - seen[:, axis]
-        values[axis], sigma = combine(z[:, axis] - seen[:, axis], C + np.outer(late, late))
-        P[axis, axis] = sigma**2
-    across = np.array([-values[1], values[0]]) * known.course_sigma
-    return After(values, P + np.outer(across, across), int(use.sum()))

@@ -10,7 +10,8 @@ from nav_core.crash.case import Case
 from nav_core.crash.clipping import Missing, restore
 from nav_core.crash.filters import LEAST_RATE, cfc
 from nav_core.crash.fuse import Change, Cloud, fuse
-from nav_core.crash.gps_change import AFTER, DIVE, DIVE_SIGMA, SETTLED, After, Before, after, before, level_before
+from nav_core.crash.gps_after import AFTER, SETTLED, After, after
+from nav_core.crash.gps_change import DIVE, DIVE_SIGMA, Before, before, level_before
 from nav_core.crash.lacks import Lacks, lacks_of
 from nav_core.crash.pulse import Blow, blow_of, steady_before
 from nav_core.events.level import Gravity
@@ -31,8 +32,15 @@ ROUGH = 0.6
 """Samples off the mean of their neighbours by this share of the pulse (rms) are sampled too slowly: what they ring by
 is taken as noise that adds up sample by sample."""
 
-HELD = 0.1
-"""Share of a turn during the blow that a gyro sampled with the accelerometer may miss, 1 sigma."""
+GYRO_LATE, SAMPLE_LATE = 0.003, 0.3
+"""1 sigma of how much later than the force a turn rate is told, s, and of the same in steps of sampling: filters
+differ."""
+
+GYRO_SCALE = 0.02
+"""1 sigma of the scale of a gyro and of what it hears of the blow, share."""
+
+UNSEEN_TURN = np.radians(2.0)
+"""Without a gyro, 1 sigma of the mean turn within a blow: the fixes tell of axes that are held, the box does not."""
 
 FADES = 0.5
 """Less than this of what acts besides a blow is not looked at closer, m/s²."""
@@ -48,6 +56,9 @@ LATER_LEVEL = 0.4
 
 LATER_SPEED = 0.6
 """1 sigma of what braking and sliding between two blows leave open of the speed by the fixes, m/s."""
+
+RINGS = 0.006
+"""Samples at full scale after a blow are its ringing for up to so long, together, s; more of them are another blow."""
 
 JITTER = 0.025
 """1 sigma of vibration and noise left in an integral, m/s."""
@@ -141,20 +152,23 @@ def impact_of(case: Case, window: Window, earlier: Impact | None = None) -> Impa
     else:
         known = None if gnss is None else before(gnss, case.lags, stream, steady, t0)
     if gnss is not None and known is not None and earlier is None and case.yaw_known:
-        seen = _seen(case, gnss, known, blow, trace)
+        seen = _seen(case, gnss, known, blow, flags, trace)
     recorded, lacks = blow.v[k, :2], lacks_of(blow, case.rate)
     missing = trace[k, :2] - recorded
     change = Change(
         recorded,
         missing,
         spread,
-        _covariance(case, blow, trace[k, :2], k, leaning) + lacks.unsure**2 * np.eye(2) + stray**2 * _across(missing),
-        _turn(case, blow, k),
+        _covariance(case, blow, trace[k, :2], k, leaning) + lacks.unsure**2 * np.eye(2),
+        _turn(case, blow, filled, k),
+        stray,
     )
     gps, covariance = None, None
     if seen is not None and known is not None:
         gps = seen.velocity - np.array([known.speed, 0.0]) - (trace[blow.last, :2] - trace[k, :2])
         covariance = seen.covariance + np.diag([known.sigma**2, 0.0])
+        if blow.w is None:
+            covariance += UNSEEN_TURN**2 * _across(gps)
     cloud = fuse(change, gps, covariance).reaching(lacks.hidden)
     return Impact(
         blow=blow,
@@ -298,10 +312,13 @@ def _beside(blow: Blow, flags: Flags) -> tuple[Floats, Floats]:
     return ends[0], ends[1]
 
 
-def _seen(case: Case, gnss: Gnss, known: Before, blow: Blow, trace: Floats) -> After | None:
+def _seen(case: Case, gnss: Gnss, known: Before, blow: Blow, flags: Flags, trace: Floats) -> After | None:
+    """What the fixes say of the velocity after a blow, as far as no further blow is clipped."""
     rest = slice(blow.last, None)
+    clipped = np.flatnonzero(np.cumsum(blow.step[rest] * flags[rest].any(axis=1)) > RINGS)
+    until = float(blow.t[rest][clipped[0]]) - SETTLED if clipped.size else np.inf
     path = blow.t[rest], trace[rest, :2] - trace[blow.last, :2]
-    return after(gnss, case.lags, known, float(blow.t[blow.last]), path)
+    return after(gnss, case.lags, known, (float(blow.t[blow.zero]), float(blow.t[blow.last])), path, until)
 
 
 def _covariance(case: Case, blow: Blow, d: Floats, k: int, steady: Gravity) -> Floats:
@@ -325,12 +342,20 @@ def _covariance(case: Case, blow: Blow, d: Floats, k: int, steady: Gravity) -> F
     )
 
 
-def _turn(case: Case, blow: Blow, k: int) -> float:
+def _turn(case: Case, blow: Blow, filled: Floats, k: int) -> float:
     """1 sigma of the direction of the axes, rad."""
-    turned = float(np.arctan2(blow.C[k, 1, 0], blow.C[k, 0, 0]))
     # Of an open heading no direction is told, and the resultant is as sure as ever.
     mounted = float(case.sigma[2]) if case.yaw_known else 0.0
-    return float(np.sqrt(mounted**2 + ROTATION**2 + (HELD * turned) ** 2))
+    late = scale = 0.0
+    part = slice(blow.zero, k + 1)
+    change = (filled[part, :2] * blow.step[part, None]).sum(axis=0)
+    size = float(np.hypot(*change))
+    if blow.w is not None and size > 1e-6:
+        # What turns the change is the turn, and its rate, that the force along it has met.
+        along = (filled[part, :2] @ change) * blow.step[part] / size**2
+        late = float(along @ blow.w[part, 2]) * float(np.hypot(GYRO_LATE, SAMPLE_LATE / case.rate))
+        scale = GYRO_SCALE * float(along @ np.arctan2(blow.C[part, 1, 0], blow.C[part, 0, 0]))
+    return float(np.linalg.norm([mounted, ROTATION, late, scale]))
 
 
 def _consistent(recorded: Floats, filled: Floats, cloud: Cloud, measured: Floats, missing: Floats) -> Floats:

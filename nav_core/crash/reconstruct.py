@@ -16,6 +16,7 @@ from nav_core.earth import STANDARD_GRAVITY
 from nav_core.events.classify import find
 from nav_core.events.driving import Manoeuvre, manoeuvres
 from nav_core.events.finding import SEVERE, Finding
+from nav_core.events.level import lean_before
 from nav_core.events.record import ALGORITHM, Basis, CrashEvent, DeltaV, Estimate, SecondImpact, VehicleClass
 from nav_core.events.scene import scene_of
 from nav_core.events.trigger import MULTI_EVENT
@@ -38,6 +39,9 @@ UNFILTERED_RATE = 150.0
 
 AGAIN = 2.0
 """A mounting that changed later than this before an event is worked out anew from what came before, s."""
+
+OFF = np.radians(30.0)
+"""Gravity is off V's down axis by less than this on any road, rad."""
 
 
 def events_of(
@@ -68,7 +72,8 @@ def events_of(
     if drive.inertial.t.size < FEWEST:
         return ()
     case = case_of(drive, mounting)
-    scene = scene_of(case.stream, case.gnss, case.lags.speed, case.lags.sigma, vehicle_class)
+    lags = case.lags
+    scene = scene_of(case.stream, case.gnss, lags.speed, lags.sigma, vehicle_class, case.w_v, mounted=case.yaw_known)
     found = find(scene)
     events = [_of_group(case, group) for group in _grouped(case, found)]
     events += _harsh(case, vehicle_class, events)
@@ -109,7 +114,21 @@ def _of_group(case: Case, group: list[Finding]) -> CrashEvent:
 
 
 def _mounting_then(case: Case, t0: float) -> tuple[Case, tuple[Remark, ...]]:
-    """The case with the mounting that was valid at `t0`: an estimate tells the last one, and when it changed."""
+    """The case with the mounting that was valid at `t0`: none where gravity before it lies elsewhere than it should."""
+    then, remarks = _before_change(case, t0)
+    leans = lean_before(then.stream, t0)
+    if then.mounting.R_va is None or leans is None or leans < OFF + 3.0 * float(then.sigma[:2].max()):
+        return then, remarks
+    unknown = replace(then.mounting, status="insufficient", R_va=None, covariance=None)
+    text = (
+        f"Gravity before it lies {np.degrees(leans):.0f}° off where the mounting has it: the box was turned since, or "
+        "measures with another sign. Directions are not given."
+    )
+    return case_of(then.drive, unknown), (*remarks, Remark("mounting_disagrees", text))
+
+
+def _before_change(case: Case, t0: float) -> tuple[Case, tuple[Remark, ...]]:
+    """The case with the mounting before a change at or after `t0`: an estimate tells the last one, and the changes."""
     if case.mounting.R_va is None or not any(change.t > t0 - AGAIN for change in case.mounting.changes):
         return case, ()
     from nav_core.mounting import estimate_mounting

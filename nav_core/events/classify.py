@@ -12,7 +12,7 @@ from nav_core.earth import STANDARD_GRAVITY
 from nav_core.events.faint import bumps, shocks, swipes, tilted
 from nav_core.events.finding import OVER, SEVERE, TURNED, Finding
 from nav_core.events.record import EventKind
-from nav_core.events.scene import MOVES, Scene, restless
+from nav_core.events.scene import CARRIED, MOVES, Scene, restless
 from nav_core.events.signs import Around, Signs, core_of, peak_of, signs_of, speed_seen, window_at
 from nav_core.events.trigger import MULTI_EVENT, TRIGGER, TRIGGER_WINDOW, Window, groups, strongest_change
 from nav_core.records import Remark
@@ -20,9 +20,6 @@ from nav_core.typing import Integers
 
 LASTS = 0.35
 """A blow keeps at least this share of its change 0.25 s later."""
-
-CARRIED = 1.2
-"""Scatter of the force within a second at standstill of a box that is carried about, m/s²: no engine idles so."""
 
 TOGETHER = 0.3
 """Triggers closer than this are looked at together, s: a wheel after the other, a box that bounces."""
@@ -113,17 +110,18 @@ Verdict = tuple[EventKind, float, tuple[Remark, ...]]
 
 
 def _verdict(signs: Signs, stood: bool) -> Verdict:
-    moved = signs.before is not None and signs.before > MOVES
-    drove_on = signs.later is not None and signs.later > MOVES
+    moved, drove_on = signs.drove, signs.later is not None and signs.later > MOVES
+    remarks: tuple[Remark, ...] = ()
+    if signs.turned > TURNED:
+        degrees = float(np.degrees(signs.turned))
+        remarks = (Remark("box_turned", f"The box lies {degrees:.0f}° differently after it."),)
+    if moved and not drove_on and _rolled(signs):
+        return "rollover", 0.95, () if signs.rolled > OVER else remarks
     harmless = _harmless(signs, stood, moved, drove_on)
     if harmless is not None:
         return harmless
     if _on_its_side(signs) and moved and not drove_on:
         return "rollover", 0.9, ()
-    remarks: tuple[Remark, ...] = ()
-    if signs.turned > TURNED:
-        degrees = float(np.degrees(signs.turned))
-        remarks = (Remark("box_turned", f"The box lies {degrees:.0f}° differently after it."),)
     certain = 0.99 if _unaffected(signs) is False or signs.change > 1.5 * TRIGGER else 0.9
     return "crash", certain, remarks
 
@@ -165,6 +163,14 @@ def _slowed(signs: Signs) -> bool:
     """Whether the fixes show most of the change as a change of speed."""
     seen = speed_seen(signs)
     return seen is not None and seen > 0.6 * signs.change
+
+
+def _rolled(signs: Signs) -> bool:
+    """Whether the vehicle turned over, as a falling box would not; what else happened is part of that."""
+    if signs.later is None and signs.shaken:  # neither fixes nor the force say that it stands now
+        return False
+    # A roof takes the fixes away: of a box that fell in a vehicle that drives, they go on.
+    return signs.rolled > OVER or (signs.later is None and signs.after is None and _on_its_side(signs))
 
 
 def _on_its_side(signs: Signs) -> bool:

@@ -9,7 +9,15 @@ from nav_core.events.finding import OVER, SEVERE, TURNED, Finding
 from nav_core.events.record import EventKind, VehicleClass
 from nav_core.events.scene import MOVES, STANDS, STILL, Scene, scatter_of
 from nav_core.events.signs import Around, core_of, peak_of, signs_of, window_at
-from nav_core.events.trigger import MULTI_EVENT, THRESHOLD, Stream, Window, first_not_before, groups
+from nav_core.events.trigger import (
+    AFTER_END,
+    MULTI_EVENT,
+    THRESHOLD,
+    Stream,
+    Window,
+    first_not_before,
+    groups,
+)
 from nav_core.records import Remark
 from nav_core.typing import Flags, Floats
 
@@ -33,6 +41,9 @@ BUMP_LONGEST = 0.5
 
 TYRES = 1.3 * STANDARD_GRAVITY
 """Least force of a further bump of a vehicle that still slides from the one before, m/s²: beyond tyres."""
+
+ROLLS_WITHIN = 4.0
+"""A vehicle that turns over does so within this time, s."""
 
 SLIDES = 0.15
 """A further bump is looked for so long after the blow before it, s."""
@@ -212,16 +223,46 @@ def tilted(scene: Scene, found: list[Finding]) -> list[Finding]:
         if at[last] - at[first] < 1.0 or near:
             continue
         k = int(edges[full[first]])
-        soon = min(int(np.searchsorted(stream.t, stream.t[k] + 0.5)), stream.t.size - 1)
-        window = Window(k, soon, soon)
-        speed = scene.speed_before(t - 1.0)
+        window = _window_from(stream, k, min(int(np.searchsorted(stream.t, stream.t[k] + 0.5)), stream.t.size - 1))
         down = means[first : last + 1].mean(axis=0)
         later = scene.speed_after(t + 8.0)
-        rolled = speed is not None and speed > MOVES and abs(down[0]) < 0.4 * STANDARD_GRAVITY
+        rolled = scene.drove_before(t - 1.0, by_force=False) and abs(down[0]) < 0.4 * STANDARD_GRAVITY
         rolled = rolled and (later is None or later < MOVES)  # on its side no vehicle drives on
         kind: EventKind = "rollover" if rolled else "handling"
         remark = Remark("lies_differently", f"The box leans by {np.degrees(lean[first : last + 1].max()):.0f}°.")
         out.append(Finding(kind, window, 0.8, peak_of(stream, window), (remark,)))
+    return out + _turned_over(scene, [*found, *out])
+
+
+def _window_from(stream: Stream, zero: int, end: int) -> Window:
+    """Window of what has no pulse to be read from."""
+    return Window(zero, end, min(int(np.searchsorted(stream.t, stream.t[end] + AFTER_END)), stream.t.size - 1))
+
+
+def _turned_over(scene: Scene, found: list[Finding]) -> list[Finding]:
+    """Vehicles that turned over by the gyro, softly, and may lie upright again."""
+    stream = scene.stream
+    if scene.w is None:
+        return []
+    rate = np.nan_to_num(scene.w[:, 0])
+    roll = np.cumsum((rate - np.median(rate)) * stream.step)
+    later = np.minimum(first_not_before(stream.t, stream.t + ROLLS_WITHIN), stream.t.size - 1)
+    out: list[Finding] = []
+    for first, last in groups(np.abs(roll[later] - roll) > OVER, stream.t, ROLLS_WITHIN):
+        # It begins where it has turned by a tenth of what it does.
+        until = int(later[last])
+        turned = np.abs(roll[first : until + 1] - roll[first])
+        begin = first + int(np.argmax(turned > 0.1 * turned.max()))
+        at = float(stream.t[begin])
+        if any(abs(float(stream.t[each.window.zero]) - at) < MULTI_EVENT for each in found if each.kind in SEVERE):
+            continue
+        window = _window_from(stream, begin, until)
+        signs = signs_of(scene, window)
+        drove_on = signs.shaken if signs.later is None else signs.later > MOVES
+        drove = scene.drove_before(at - 0.5, by_force=False)
+        if drove and signs.rolled > OVER and not drove_on:
+            remark = Remark("turned_over", f"By the gyro the vehicle turned over by {np.degrees(signs.rolled):.0f}°.")
+            out.append(Finding("rollover", window, 0.8, peak_of(stream, window), (remark,)))
     return out
 
 

@@ -145,3 +145,27 @@ def gravity_before(stream: Stream, t: float, tilt: float | None = None) -> Gravi
     upright = float(np.hypot(SLOPE, STANDARD_GRAVITY * tilt))
     share = upright**2 / (upright**2 + sigma**2)
     return Gravity(np.array([share * f[0], share * f[1], f[2]]), float(np.sqrt(share)) * sigma, span)
+
+
+def lean_before(stream: Stream, t: float) -> float | None:
+    """How far gravity lies off V's down axis in the seconds before a moment, rad.
+
+    Parameters
+    ----------
+    stream : Stream
+        V axes.
+    t : float
+        Box clock, s.
+
+    Returns
+    -------
+    float or None
+        0 to pi; None of less than a second that shows gravity alone.
+    """
+    first, last = np.searchsorted(stream.t, [t - LOOK_BACK, t - PIECE])
+    means = pieces(stream.t[first:last], stream.f[first:last])
+    plain = means[np.abs(np.linalg.norm(means, axis=1) - STANDARD_GRAVITY) < PLAIN]
+    if plain.shape[0] * PIECE < 1.0:
+        return None
+    down: Floats = np.median(plain, axis=0)
+    return float(np.arccos(np.clip(-down[2] / max(float(np.linalg.norm(down)), 1e-9), -1.0, 1.0)))

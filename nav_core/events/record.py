@@ -27,7 +27,7 @@ EventKind = Literal[
 ]
 VehicleClass = Literal["car", "van", "truck", "bus", "motorcycle"]
 
-ALGORITHM = "crash-2"
+ALGORITHM = "crash-3"
 """Version of the detection and reconstruction; it changes whenever the same input may give other numbers."""
 
 

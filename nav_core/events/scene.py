@@ -19,6 +19,9 @@ STANDS, MOVES = 0.8, 2.0
 STILL = 0.16
 """Scatter of the force within 0.2 s at standstill, m/s², with the engine running."""
 
+CARRIED = 1.2
+"""Scatter of the force within a second at standstill of a box that is carried about, m/s²: no engine idles so."""
+
 STEADY = 1.0
 """At standstill the force strays by less than this from one half second to the next, m/s²."""
 
@@ -36,6 +39,10 @@ class Scene(NamedTuple):
     vehicle_class : VehicleClass
     level : ndarray, shape (3,)
         Usual force of a vehicle that neither brakes nor turns, m/s²: what the sensor makes of gravity.
+    w : ndarray, shape (n, 3), optional
+        Angular rate at the samples of the stream, V axes, rad/s; None where it, or the mounting, is not known.
+    mounted : bool
+        Whether forward and right are known.
     """
 
     stream: Stream
@@ -44,6 +51,8 @@ class Scene(NamedTuple):
     lag_sigma: float
     vehicle_class: VehicleClass
     level: Floats
+    w: Floats | None = None
+    mounted: bool = True
 
     def speed_before(self, t: float) -> float | None:
         """Speed of the last fix before `t`, at most 5 s old, m/s.
@@ -96,6 +105,28 @@ class Scene(NamedTuple):
         scatter = scatter_of(self.stream, t - 2.0, t - 0.1)
         return scatter is not None and scatter < STILL and not self.brakes_before(t)
 
+    def drove_before(self, t: float, *, by_force: bool) -> bool:
+        """Whether the vehicle drove before `t`: by the fixes, else by a force neither quiet nor of a carried box.
+
+        Parameters
+        ----------
+        t : float
+            Box clock, s.
+        by_force : bool
+            Whether the force may tell, where no fix does.
+
+        Returns
+        -------
+        bool
+            False also where neither tells.
+        """
+        speed = self.speed_before(t)
+        if speed is not None or not by_force:
+            return speed is not None and speed > MOVES
+        scatter = scatter_of(self.stream, t - 2.0, t - 0.1)
+        carried = restless(self.stream, t - 3.0, t - 0.5) > CARRIED
+        return self.mounted and scatter is not None and not carried and not self.stands_before(t)
+
     def brakes_before(self, t: float) -> bool:
         """Whether the force before `t` shows a vehicle that slows down, however smoothly.
 
@@ -122,7 +153,14 @@ class Scene(NamedTuple):
 
 
 def scene_of(
-    stream: Stream, gnss: Gnss | None, speed_lag: float, lag_sigma: float, vehicle_class: VehicleClass
+    stream: Stream,
+    gnss: Gnss | None,
+    speed_lag: float,
+    lag_sigma: float,
+    vehicle_class: VehicleClass,
+    w: Floats | None = None,
+    *,
+    mounted: bool = True,
 ) -> Scene:
     """Scene of a recording.
 
@@ -138,6 +176,10 @@ def scene_of(
         1 sigma of it, s; more than 0.2 s counts as 0.2 s.
     vehicle_class : VehicleClass
         Sets the force of a road shock.
+    w : ndarray, shape (n, 3) or None
+        Angular rate at the samples of `stream`, V axes, rad/s.
+    mounted : bool
+        Whether forward and right are known; else `w` is left out.
 
     Returns
     -------
@@ -147,7 +189,8 @@ def scene_of(
     none = np.zeros(0)
     fix_t, fix_speed = (none, none) if gnss is None else (gnss.t - speed_lag, gnss.speed)
     level = usual_force(stream.t, stream.f)
-    return Scene(stream, fix_t, fix_speed, min(lag_sigma, 0.2), vehicle_class, level)
+    turning = w if mounted else None
+    return Scene(stream, fix_t, fix_speed, min(lag_sigma, 0.2), vehicle_class, level, turning, mounted)
 
 
 def scatter_of(stream: Stream, begin: float, end: float) -> float | None:

@@ -8,7 +8,7 @@ import numpy as np
 
 from nav_core.earth import STANDARD_GRAVITY
 from nav_core.events.level import PLAIN, is_plain, usual_force
-from nav_core.events.scene import Scene
+from nav_core.events.scene import STILL, Scene, scatter_of
 from nav_core.events.trigger import THRESHOLD, Stream, Window, change_within, groups, integrate, window_around
 from nav_core.typing import Floats
 
@@ -17,6 +17,15 @@ FALLING, FALL_TIME = 0.4 * STANDARD_GRAVITY, 0.08
 
 MINUTE = 60.0
 """So far back a vehicle that brakes is looked at for how it stands, s."""
+
+ROLL_TIME = 6.0
+"""A vehicle that turns over is looked at for so long after the blow, s."""
+
+PITCHES = 0.5
+"""A vehicle that rolls pitches by less than this share of it; a box that tumbles does not keep to one axis."""
+
+AS_ROLLED = np.radians(35.0)
+"""So closely a vehicle that has rolled lies as its roll says, rad."""
 
 LOOKS_AFTER = 0.25
 """So long after a blow its change must still be there, s."""
@@ -113,6 +122,12 @@ class Signs(NamedTuple):
     after: float | None
     later: float | None
     """Speed by GPS just before, just after and eight seconds later, m/s."""
+    drove: bool
+    """Whether the vehicle drove before the first blow."""
+    rolled: float
+    """How far the vehicle turned about V x by the gyro, rad; 0 of a turn that was none of a vehicle, or not known."""
+    shaken: bool
+    """Whether the force six to nine seconds later is that of a vehicle that drives."""
 
 
 def signs_of(scene: Scene, window: Window, around: Around | None = None) -> Signs:
@@ -147,16 +162,40 @@ def signs_of(scene: Scene, window: Window, around: Around | None = None) -> Sign
     size = np.hypot(*v.T)
     change = float(size[: last + 1 - zero].max())
     down = _calm_after(stream, t_end)
+    fell = float(np.linalg.norm(rest)) > 1.5 * FALLING and _fell(stream, t0, t_end)
     return Signs(
         change=change,
         kept=float(size[-1] / max(change, 1e-9)),
-        fell=float(np.linalg.norm(rest)) > 1.5 * FALLING and _fell(stream, t0, t_end),
+        fell=fell,
         turned=_turned(stream, around.begin, down),
         down_after=down,
         before=scene.speed_before(t0) if around.alone else None,
         after=scene.speed_after(t_end) if around.alone else None,
         later=scene.speed_after(t_end + 8.0),
+        # Held in a hand, a box that falls was not quiet either.
+        drove=scene.drove_before(around.begin, by_force=not fell),
+        rolled=_rolled(scene, around.begin, t_end, down),
+        shaken=(scatter_of(stream, t_end + 6.0, t_end + 9.0) or 0.0) > 2.0 * STILL,
     )
+
+
+def _rolled(scene: Scene, begin: float, end: float, down: Floats | None) -> float:
+    """Largest turn about V x by the gyro, rad; 0 where the box lies otherwise afterwards, or pitched half as much."""
+    if scene.w is None:
+        return 0.0
+    first, last = np.searchsorted(scene.stream.t, [begin - 1.5, end + ROLL_TIME])
+    turned = np.cumsum(np.nan_to_num(scene.w[first:last]) * scene.stream.step[first:last, None], axis=0)
+    if turned.shape[0] == 0:
+        return 0.0
+    roll, pitch, _ = np.abs(turned).max(axis=0)
+    if pitch > PITCHES * roll:
+        return 0.0
+    if down is not None:
+        angle = float(turned[-1, 0])
+        alike = -(down[1] * np.sin(angle) + down[2] * np.cos(angle)) / np.linalg.norm(down)
+        if alike < np.cos(AS_ROLLED):
+            return 0.0
+    return float(roll)
 
 
 def _turned(stream: Stream, t0: float, down: Floats | None) -> float:

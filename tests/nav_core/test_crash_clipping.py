@@ -142,3 +142,15 @@ def test_ringing_does_not_pull_the_curve_to_the_dips():
     estimate = np.trapezoid(curve.expected, t)
     assert abs(estimate - truth) < 0.5 * (truth - recorded)
     assert curve.ringing > 20.0
+
+
+@pytest.mark.parametrize("bits", [8, 10, 12, 16])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_both_rails_are_found_though_two_s_complement_is_not_the_same_on_both_sides(bits, sign):
+    step = 16.0 * G / 2 ** (bits - 1)
+    t = np.arange(0.0, 0.4, 0.005)
+    blow = 24.0 * G * (np.sin(np.pi * t / 0.1) ** 2 * (t < 0.1) - np.sin(np.pi * t / 0.1) ** 2 * (t > 0.2) * (t < 0.3))
+    counts = np.clip(np.round(sign * blow / step), -(2 ** (bits - 1)), 2 ** (bits - 1) - 1)
+    f = np.column_stack([counts * step, 0.0 * t, np.full(t.size, -G)])
+    flags = saturated(f).flags[:, 0]
+    assert np.array_equal(flags, np.abs(blow) > 15.95 * G)

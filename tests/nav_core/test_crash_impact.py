@@ -121,6 +121,38 @@ def test_a_gyro_that_is_silent_in_the_blow_is_said_and_not_made_up(silent, remar
     assert event.basis.gyro is used
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("with_gps", [True, False])
+def test_gravity_that_contradicts_the_mounting_leaves_only_resultants(sign, with_gps):
+    """A box that measures with the other sign would have the blow come from the other side, to a degree."""
+    t, f = blows((T0, 9.0, 0.4))
+    gnss = fixes(4.0, [0.0, T0, T0 + 0.1, 20.0], [20.0, 20.0, 11.5, 11.5]) if with_gps else NO_GNSS
+    event = severe(Drive(Inertial(t, sign * f), gnss), told())
+    assert event.delta_v.resultant.low <= 9.0 <= event.delta_v.resultant.high
+    assert ("mounting_disagrees" in codes(event)) is (sign < 0.0)
+    assert (event.pdof is None) is (sign < 0.0)
+    assert (event.delta_v.longitudinal is None) is (sign < 0.0)
+
+
+def test_a_gyro_that_is_late_by_some_milliseconds_is_in_the_interval_of_pdof():
+    errors, widths = [], []
+    for late in (-0.004, -0.002, 0.0, 0.002, 0.004):
+        t = np.arange(0.0, 20.0, 0.005)
+        u = np.clip((t - T0) / 0.1, 0.0, 1.0)
+        rate = 3.0 * u**2
+        turn = np.cumsum(rate) * 0.005
+        # The force comes from 0.4 rad of where the vehicle pointed at first; its axes turn away from it.
+        a = np.where((u > 0.0) & (u < 1.0), np.sin(np.pi * u) ** 2, 0.0) * 2.0 * 9.0 / 0.1
+        f = np.column_stack([-a * np.cos(0.4 - turn), -a * np.sin(0.4 - turn), np.full(t.size, -G)])
+        w = np.column_stack([0.0 * t, 0.0 * t, np.interp(t - late, t, rate)])
+        pdof = severe(Drive(Inertial(t, f, w), NO_GNSS), told((0.1, 0.1, 0.1))).pdof
+        errors.append(abs(pdof.value - 0.4))
+        widths.append(0.25 * (pdof.high - pdof.low))
+    assert np.degrees(max(errors)) > 0.15
+    assert all(error < 2.0 * width for error, width in zip(errors, widths, strict=True))
+    assert np.degrees(max(widths)) < 0.6
+
+
 def test_the_vehicle_is_not_at_rest_before_the_last_blow():
     t, f = blows((T0, 9.0, 0.0), (T0 + 3.0, 6.0, np.pi), until=30.0)
     speeds = [9.0, 9.0, 0.0, 0.0, 6.0, 0.0, 0.0]

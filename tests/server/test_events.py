@@ -97,7 +97,7 @@ def test_one_event_and_its_canonical_json(admin, event):
     detail = admin.get(f"/api/v1/events/{event['id']}").raise_for_status().json()
     content = admin.get(f"/api/v1/events/{event['id']}/event.json").raise_for_status().content
     assert hashlib.sha256(content).hexdigest() == detail["event_sha256"]
-    assert detail["algorithm"] == "crash-2"
+    assert detail["algorithm"] == "crash-3"
     assert json.loads(content)["inputs"]["sha256"] == detail["input_sha256"]
     assert admin.get("/api/v1/events/" + "0" * 32).status_code == 404
 
