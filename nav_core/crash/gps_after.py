@@ -109,9 +109,10 @@ def after(
     weights = np.exp([each[0] - best for each in tries])
     weights /= weights.sum()
     mean = np.sum([w * values for w, (_, values, _) in zip(weights, tries, strict=True)], axis=0)
-    P = np.sum([w * (P + np.outer(v - mean, v - mean)) for w, (_, v, P) in zip(weights, tries, strict=True)], axis=0)
+    spreads = [cov + np.outer(v - mean, v - mean) for _, v, cov in tries]
+    total = np.einsum("k,kij->ij", weights, np.array(spreads))
     across = np.array([-mean[1], mean[0]]) * known.course_sigma
-    return After(mean, P + np.outer(across, across), int(use.sum()))
+    return After(mean, total + np.outer(across, across), int(use.sum()))
 
 
 class _Rest(NamedTuple):
