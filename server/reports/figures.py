@@ -159,6 +159,12 @@ def risk_rows(event: dict[str, Any], words: Words) -> list[tuple[str, str, str, 
     return rows
 
 
+def _lags(speed: float | None, course: float | None, words: Words) -> str:
+    if speed is None and course is None:
+        return words("not_recorded")
+    return f"{words.number(speed, 2)} / {words.number(course, 2)} s"
+
+
 def basis_rows(document: dict[str, Any], words: Words) -> list[tuple[str, str]]:
     """Rate, full scale, fixes, lag, mounting."""
     event = document["event"]
@@ -174,7 +180,7 @@ def basis_rows(document: dict[str, Any], words: Words) -> list[tuple[str, str]]:
         (words("q_clip"), str(event["clipped_samples"])),
         (words("q_gyro"), words("yes" if basis["gyro"] else "no")),
         (words("q_fixes"), f"{basis['fixes_before']} / {basis['fixes_after']}"),
-        (words("q_lag"), " / ".join(number(lag[name], 2) for name in ("speed", "course")) + " s"),
+        (words("q_lag"), _lags(lag["speed"], lag["course"], words)),
         (words("q_mount"), words(basis["mounting_status"])),
         (words("q_sigma"), words("not_recorded") if sigma is None else " / ".join(number(s, 2) for s in sigma) + " °"),
         (words("q_window"), f"{number(first, 2)} … {number(last, 2)} s"),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import datetime as dt
 import html
 import math
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 from reportlab.lib.styles import ParagraphStyle
@@ -38,7 +39,8 @@ CELL = ParagraphStyle("cell", fontName=PLAIN, fontSize=8.5, leading=11, textColo
 HEAD = ParagraphStyle("head", fontName=PLAIN, fontSize=7.5, leading=10, textColor=MUTED)
 HASH = ParagraphStyle("hash", fontName=MONO, fontSize=6.2, leading=8, textColor=INK, splitLongWords=1)
 BIG = ParagraphStyle("big", fontName=BOLD, fontSize=17, leading=21, textColor=INK)
-MAX_LINKS = 12
+LINKS = (12, 6, 3)
+"""So many uploads are listed: the first of these that the report has room for."""
 
 _RULED = TableStyle(
     [
@@ -243,7 +245,9 @@ def driver_tables(event: dict[str, Any], words: Words, width: float) -> list[Flo
     return [table([heads, *rows], (0.2,) * 5, width), pairs(facts, width)]
 
 
-def provenance_tables(document: dict[str, Any], event_sha256: str, words: Words, width: float) -> list[Flowable]:
+def provenance_tables(
+    document: dict[str, Any], event_sha256: str, words: Words, width: float, links: int
+) -> list[Flowable]:
     """Versions and hashes."""
     inputs, software = document["inputs"], document["software"]
     clock, mounting = inputs["clock"], inputs["mounting"]
@@ -260,8 +264,8 @@ def provenance_tables(document: dict[str, Any], event_sha256: str, words: Words,
     # The batches that hold time zero are never among those left out.
     t0 = document["event"]["t0_s"]
     ranked = sorted(inputs["batches"], key=lambda b: max(b["t_first_s"] - t0, t0 - b["t_last_s"]))
-    shown = sorted(ranked[:MAX_LINKS], key=lambda b: b["chain_index"])
-    links = [
+    shown = sorted(ranked[:links], key=lambda b: b["chain_index"])
+    listed = [
         [
             str(batch["chain_index"]),
             words(batch["stream"]),
@@ -271,7 +275,7 @@ def provenance_tables(document: dict[str, Any], event_sha256: str, words: Words,
         ]
         for batch in shown
     ]
-    found: list[Flowable] = [pairs(rows, width), table([heads, *links], (0.08, 0.12, 0.18, 0.31, 0.31), width)]
+    found: list[Flowable] = [pairs(rows, width), table([heads, *listed], (0.08, 0.12, 0.18, 0.31, 0.31), width)]
     left = len(inputs["batches"]) - len(shown)
     if left:
         found.append(Paragraph(words("link_more", n=left), HEAD))
@@ -287,7 +291,11 @@ def numbers_table(event: dict[str, Any], words: Words, width: float) -> Table:
 def risk_table(event: dict[str, Any], words: Words, width: float) -> Table:
     """Probabilities by published curves."""
     heads = [words(key) for key in ("r_curve", "r_people", "r_level", "r_p", "n_interval")]
-    return table([heads, *map(list, risk_rows(event, words))], (0.22, 0.42, 0.1, 0.11, 0.15), width)
+    rows = [list(row) for row in risk_rows(event, words)]
+    for above, row in reversed(list(pairwise(rows))):
+        # Whom several curves are of is said once.
+        row[1] = "" if row[1] == above[1] else row[1]
+    return table([heads, *rows], (0.22, 0.42, 0.1, 0.11, 0.15), width)
 
 
 def basis_table(document: dict[str, Any], words: Words, width: float) -> Table:

@@ -34,6 +34,7 @@ from server.reports.figures import sentences
 from server.reports.paper import BOLD, INK, LINE, MONO, MUTED, PLAIN, load_fonts
 from server.reports.words import Language, Words
 
+MOST_PAGES = 5
 MARGIN, TOP, BOTTOM = 18 * mm, 24 * mm, 18 * mm
 WIDTH = A4[0] - 2 * MARGIN
 
@@ -62,10 +63,25 @@ def report_pdf(
     where nobody looked for any.
     """
     load_fonts()
-    words = Words(language)
+    # The archive of evidence has all uploads; the report as many as leave it short.
+    for links in parts.LINKS:
+        content, pages = _built(document, heading, Words(language), contradictions, links)
+        if pages <= MOST_PAGES:
+            break
+    return content
+
+
+def _built(
+    document: dict[str, Any],
+    heading: Heading,
+    words: Words,
+    contradictions: Sequence[tuple[str, str]] | None,
+    links: int,
+) -> tuple[bytes, int]:
+    """The report with so many uploads listed, and its number of pages."""
     sink = io.BytesIO()
     kind = words(document["event"]["kind"])
-    template = blank(sink, title=f"{words('title')}: {kind}", subject=heading.event_id, language=language)
+    template = blank(sink, title=f"{words('title')}: {kind}", subject=heading.event_id, language=words.language)
     frame = Frame(MARGIN, BOTTOM, WIDTH, A4[1] - TOP - BOTTOM, 0, 0, 0, 0, id="page")
     template.addPageTemplates([PageTemplate(id="page", frames=[frame])])
 
@@ -87,8 +103,8 @@ def report_pdf(
                 super().showPage()
             super().save()
 
-    template.build(_story(document, heading, words, contradictions), canvasmaker=Numbered)
-    return sink.getvalue()
+    template.build(_story(document, heading, words, contradictions, links), canvasmaker=Numbered)
+    return sink.getvalue(), template.page
 
 
 def _head_and_foot(canvas: Any, words: Words, heading: Heading, kind: str, page: int, pages: int) -> None:
@@ -147,7 +163,11 @@ SMALL = _style("small", 8, colour=MUTED, after=3)
 
 
 def _story(
-    document: dict[str, Any], heading: Heading, words: Words, contradictions: Sequence[tuple[str, str]] | None
+    document: dict[str, Any],
+    heading: Heading,
+    words: Words,
+    contradictions: Sequence[tuple[str, str]] | None,
+    links: int,
 ) -> list[Flowable]:
     event, curves = document["event"], document["curves"]
     at = dt.datetime.fromtimestamp(round(utc_t0(document), 2), dt.UTC)
@@ -185,7 +205,7 @@ def _story(
         story += [Paragraph(escape(line), BODY) for line in lines]
     story.append(KeepTogether([Paragraph(words("q_basis"), SECTION), parts.basis_table(document, words, WIDTH)]))
     story += [Paragraph(words("provenance"), SECTION), Paragraph(words("p_text"), BODY)]
-    story += parts.provenance_tables(document, heading.event_sha256, words, WIDTH)
+    story += parts.provenance_tables(document, heading.event_sha256, words, WIDTH, links)
     story += [Spacer(1, 4), Paragraph(words("p_verify"), BODY)]
     story.append(KeepTogether([Paragraph(words("conventions"), SECTION), Paragraph(words("c_text"), SMALL)]))
     return story

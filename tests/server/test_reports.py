@@ -16,6 +16,8 @@ from crash_world import braking, crash
 from reportlab.pdfgen.canvas import Canvas
 
 from nav_core.crash.injury import CURVES
+from nav_core.events.record import Estimate
+from nav_core.records import Remark
 from server.events.canonical import settle, sha256
 from server.events.document import document_of
 from server.events.exports import edr_csv, edr_json
@@ -122,6 +124,23 @@ def test_a_crash_fills_three_to_five_pages(language):
     assert pdf == report_pdf(document, heading(document), language)
 
 
+@pytest.mark.parametrize("language", ["en", "it"])
+def test_so_does_one_of_which_much_is_to_be_said(language):
+    event = crash(100.0)
+    told = [Remark(code, "This is said of the event, in a sentence of its own.") for code in list(ITALIAN_REMARKS)[:9]]
+    more = [dataclasses.replace(event.second_impacts[0], t0=100.0 + later) for later in (-0.6, 0.9, 2.2)]
+    full = dataclasses.replace(
+        event,
+        quality=tuple(told),
+        second_impacts=tuple(more),
+        rollover_angle=Estimate(3.1, 2.9, 3.3),
+        rebound=Estimate(2.0, 1.5, 2.5),
+    )
+    document = document_from(full)
+    found = [("gap_around", "Data are missing in the ten minutes around the event.")] * 4
+    assert 3 <= pages(report_pdf(document, heading(document), language, found)) <= 5
+
+
 @pytest.mark.parametrize(
     "changes",
     [
@@ -201,7 +220,7 @@ def test_the_clock_is_as_good_in_every_row():
     load_fonts()
     document = document_from(crash(100.0))
     spread = Words("en").spread(document["event"]["basis"]["utc_sigma_s"])
-    (rows, *_) = parts.provenance_tables(document, "0" * 64, Words("en"), 500.0)
+    (rows, *_) = parts.provenance_tables(document, "0" * 64, Words("en"), 500.0, 12)
     assert spread in " ".join(cell.getPlainText() for row in rows._cellvalues for cell in row)
     assert spread in sentences(document, Words("en"), dt.datetime(2026, 3, 1, tzinfo=dt.UTC))[0]
 
