@@ -9,11 +9,14 @@ import numpy as np
 from nav_core.earth import STANDARD_GRAVITY
 from nav_core.events.level import PLAIN, is_plain, usual_force
 from nav_core.events.scene import STILL, Scene, scatter_of
-from nav_core.events.trigger import THRESHOLD, Stream, Window, change_within, groups, integrate, window_around
+from nav_core.events.trigger import THRESHOLD, Stream, Window, change_within, integrate, window_around
 from nav_core.typing import Floats
 
 FALLING, FALL_TIME = 0.4 * STANDARD_GRAVITY, 0.08
 """A box whose force stays under this for so long falls, m/s² and s; no road does that for so long."""
+
+FALLS = 0.8
+"""Of that time the force is so low, share."""
 
 MINUTE = 60.0
 """So far back a vehicle that brakes is looked at for how it stands, s."""
@@ -238,8 +241,14 @@ def _fell(stream: Stream, t0: float, t_end: float) -> bool:
     first, last = np.searchsorted(stream.t, [t0 - 0.7, t_end + 0.3])
     free = np.linalg.norm(stream.f[first:last], axis=1) < FALLING
     t = stream.t[first:last]
-    runs = groups(free, t, 0.012)
-    return any(t[end] - t[begin] >= FALL_TIME for begin, end in runs)
+    if t.size < 2:
+        return False
+    # Ringing passes through nothing again and again, a box that falls stays there.
+    begins = np.flatnonzero(free)
+    ends = np.searchsorted(t, t[begins] + FALL_TIME - 1e-9)
+    begins, ends = begins[ends < t.size], ends[ends < t.size]
+    counted = np.concatenate([[0], np.cumsum(free)])
+    return bool(np.any(counted[ends + 1] - counted[begins] >= FALLS * (ends + 1 - begins)))
 
 
 def speed_seen(signs: Signs) -> float | None:
