@@ -57,6 +57,12 @@ LATER_LEVEL = 0.4
 LATER_SPEED = 0.6
 """1 sigma of what braking and sliding between two blows leave open of the speed by the fixes, m/s."""
 
+SMOOTH = 0.005
+"""What clipping hides of more samples than 200 a second is looked for in means over so long, s."""
+
+FEW = 0.25
+"""With less than this share of its samples clipped, such a mean is as it is: ringing is clipped either way."""
+
 RINGS = 0.006
 """Samples at full scale after a blow are its ringing for up to so long, together, s; more of them are another blow."""
 
@@ -282,11 +288,26 @@ def _restored(case: Case, blow: Blow, flags: Flags) -> tuple[Floats, float, floa
     elapsed = np.clip((blow.t[part] - blow.t[blow.zero]) / max(blow.t[blow.last] - blow.t[blow.zero], 1e-9), 0.0, 1.0)
     for share in (elapsed > 0.0, elapsed, elapsed >= 1.0) if unsure > FADES else (elapsed,):
         beside = np.outer(1.0 - share, ends[0]) + np.outer(share, ends[1])
-        tries.append((restore(blow.t[part], blow.a[part] - beside, H, flags[part], unsure), beside))
+        tries.append((_smoothly(blow.t[part], blow.a[part] - beside, H, flags[part], unsure), beside))
     known, beside = min(tries, key=lambda each: each[0].bent)
     filled = blow.a.copy()
     filled[part] = known.a + beside
     return filled, known.spread, known.stray
+
+
+def _smoothly(t: Floats, a: Floats, H: Floats, flags: Flags, unsure: float) -> Missing:
+    """`restore` of means over 5 ms, where samples are that many: the body's ringing keeps no direction, the blow does.
+
+    A mean of which many samples were clipped is a bound, as they are.
+    """
+    cell = np.floor((t - t[0]) / SMOOTH + 1e-6)
+    if t.size < 3.0 * (cell[-1] + 1.0):
+        return restore(t, a, H, flags, unsure)
+    begin = np.flatnonzero(np.diff(cell, prepend=-1.0))
+    count = np.diff(np.append(begin, t.size))
+    means = [np.add.reduceat(each, begin, axis=0) / count[:, None] for each in (t[:, None], a, flags.astype(float))]
+    known = restore(means[0][:, 0], means[1], H[begin + count // 2], means[2] > FEW, unsure)
+    return known._replace(a=a + np.repeat(known.a - means[1], count, axis=0))
 
 
 def _leaning(stream: Stream, steady: Gravity, t0: float) -> Gravity:

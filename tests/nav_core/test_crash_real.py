@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.signal import firwin
+from scipy.spatial.transform import Rotation
 
 from nav_core.crash import reconstruct_drive
 from nav_core.mounting import estimate_mounting
@@ -92,6 +95,57 @@ def test_clipped_with_fixes_before_and_after(name, full_scale, decimated):
     assert KMH * resultant.high >= 67.4
     assert event.clipped_samples > 5
     assert KMH * event.impact_speed.value == pytest.approx(57.1, abs=0.5)
+
+
+def turning(angle, rate):
+    """The blow from another side, with real ringing across and up, of a car that it turns: force, rate, velocity.
+
+    The left and right channels' difference stands for the ringing across, channel 097 for that up and down.
+    """
+    (t, left), (_, right), (_, up) = (
+        np.loadtxt(folder("nhtsa-v10146-camry-full-frontal") / f"v10146.{name}", unpack=True)
+        for name in ("093", "100", "097")
+    )
+    along, across = 0.4 * G * (left + right), 0.2 * G * (left - right)
+    c, s = np.cos(angle), np.sin(angle)
+    f = np.column_stack([c * along - s * across, s * along + c * across, 0.8 * G * up - G])
+    x = np.clip(t / 0.12, 0.0, 1.0)
+    w = np.column_stack([0.0 * t, 0.0 * t, rate * (x - np.sin(2.0 * np.pi * x) / (2.0 * np.pi))])
+    turned = np.cumsum(w[:, 2]) * 1e-4
+    turned -= turned[500]
+    c, s = np.cos(turned), np.sin(turned)
+    v = np.cumsum(np.column_stack([c * f[:, 0] - s * f[:, 1], s * f[:, 0] + c * f[:, 1]]), axis=0) * 1e-4
+    return t, f, w, v - v[500]
+
+
+@pytest.mark.parametrize(("angle", "rate"), [(0.26, 2.0), (-0.5, -3.0), (1.57, 1.5), (2.9, 0.5)])
+@pytest.mark.parametrize("full_scale", [1000.0, 16.0, 11.0])
+def test_three_ringing_axes_of_a_box_that_sits_askew_at_10_khz(angle, rate, full_scale):
+    t, f, w, v = turning(angle, rate)
+    R_va = Rotation.from_euler("YZX", [20.0, -35.0, 110.0], degrees=True).as_matrix()
+    told = replace(mounting(0.3), R_va=R_va)
+    f_a = np.clip(f @ R_va, -full_scale * G, full_scale * G)
+    true = v[500:][int(np.argmax(np.hypot(*v[500:].T)))]
+    size, pdof = float(np.hypot(*true)), float(np.arctan2(-true[1], -true[0]))
+    at = np.arange(-10.0, 5.0, 0.25) + 0.07
+    velocity = np.column_stack([np.interp(at - 0.3, t, v[:, k]) for k in range(2)])
+    velocity[:, 0] += 16.0
+    way = 0.25 * np.cumsum(velocity, axis=0) / 6.37e6
+    zero, fix = np.zeros(at.size), np.ones(at.size, dtype=bool)
+    course = np.arctan2(velocity[:, 1], velocity[:, 0])
+    gnss = Gnss(at, 0.8 + way[:, 0], 0.1 + way[:, 1] / np.cos(0.8), zero, np.hypot(*velocity.T), course, fix=fix)
+    for fixes in (gnss, NO_GNSS):
+        (event,) = reconstruct_drive(Drive(Inertial(t, f_a, w @ R_va), fixes), told)
+        assert event.kind == "crash"
+        resultant = event.delta_v.resultant
+        assert resultant.low <= size <= resultant.high
+        assert event.pdof.low <= event.pdof.value + np.angle(np.exp(1j * (pdof - event.pdof.value))) <= event.pdof.high
+        assert "gps_disagrees" not in {remark.code for remark in event.quality}
+        if full_scale > 100.0:
+            assert resultant.value == pytest.approx(size, rel=0.01)
+            assert KMH * (resultant.high - resultant.low) < 2.0
+        elif fixes is gnss:
+            assert resultant.value == pytest.approx(size, rel=0.12)
 
 
 def test_clipped_without_any_fix_the_interval_is_wide_and_starts_at_what_was_measured():
