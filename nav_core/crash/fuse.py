@@ -204,7 +204,10 @@ def fuse(change: Change, gps: Floats | None = None, gps_covariance: Floats | Non
 
 
 def _fused(change: Change, gps: Floats | None, gps_covariance: Floats | None) -> Cloud:
-    u = np.linspace(-4.0, 7.0, FACTORS) if change.spread > 0.0 else np.zeros(1)
+    u = np.zeros(1)
+    if change.spread > 0.0:
+        most = np.log(max(3.0 * LARGEST / max(float(np.hypot(*change.missing)), 1e-9), np.e)) / change.spread
+        u = np.linspace(-4.0, float(np.clip(most, 1.0, 7.0)), FACTORS)
     odds = -(FREEDOM + 1.0) * np.log1p(u**2 / FREEDOM)  # twice the logarithm
     factor, prior = np.exp(change.spread * u), np.exp(0.5 * odds)
     centres = change.recorded + factor[:, None] * change.missing
@@ -227,8 +230,10 @@ def _fused(change: Change, gps: Floats | None, gps_covariance: Floats | None) ->
             distance += np.log(np.linalg.det(total))
             weights = prior * np.exp(-0.5 * (distance - distance.min()))
             gain = covariance @ inverse
-            centres, covariance = centres + np.einsum("nij,nj->ni", gain, r), covariance - gain @ covariance
-            fused = True
+            centres, fused = centres + np.einsum("nij,nj->ni", gain, r), True
+            # Joseph's form stays positive however different both are.
+            left = np.eye(2) - gain
+            covariance = left @ covariance @ left.swapaxes(1, 2) + gain @ gps_covariance @ gain.swapaxes(1, 2)
     weights = weights / weights.sum()
     root = np.linalg.cholesky(0.5 * (covariance + covariance.swapaxes(1, 2)) + 1e-12 * np.eye(2))
     points = _around(centres, np.einsum("kj,nij->nki", _normal_points(), root), share).reshape(-1, 2)

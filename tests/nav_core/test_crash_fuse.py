@@ -68,6 +68,18 @@ def test_a_direction_not_known_turns_and_makes_nothing_longer():
     assert cloud.pdof().high == pytest.approx(1.96 * 0.3, rel=0.05)
 
 
+@given(st.floats(1e-4, 30.0), st.floats(0.02, 2.5), st.floats(0.0, 1.5), st.floats(-np.pi, np.pi), st.floats(0.0, 40.0))
+def test_whatever_clipping_hides_the_numbers_are_those_of_a_road(missing, spread, stray, angle, gps):
+    """Neither the tail of the factor nor a guess that knows nothing ends in hundreds of km/h, or in no number."""
+    guess = missing * np.array([np.cos(angle), np.sin(angle)])
+    change = Change(np.array([-8.0, 1.0]), guess, spread, 0.01 * np.eye(2), 0.01, stray)
+    for cloud in (fuse(change), fuse(change, np.array([-gps, 0.0]), 0.1 * np.eye(2))):
+        resultant = cloud.resultant()
+        assert np.isfinite([resultant.low, resultant.value, resultant.high]).all()
+        assert resultant.value < 60.0
+        assert resultant.high < 90.0
+
+
 def test_quantiles_of_weighted_points():
     values, weights = np.array([3.0, 1.0, 2.0]), np.array([0.25, 0.5, 0.25])
     assert quantiles(values, weights, (0.25, 0.625, 0.875)) == pytest.approx([1.0, 2.0, 3.0])
