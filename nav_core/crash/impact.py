@@ -58,7 +58,7 @@ LATER_SPEED = 0.6
 """1 sigma of what braking and sliding between two blows leave open of the speed by the fixes, m/s."""
 
 SMOOTH = 0.005
-"""What clipping hides of more samples than 200 a second is looked for in means over so long, s."""
+"""What clipping hides of more samples than some 400 a second is looked for in means over so long, s."""
 
 FEW = 0.25
 """With less than this share of its samples clipped, such a mean is as it is: ringing is clipped either way."""
@@ -301,7 +301,7 @@ def _smoothly(t: Floats, a: Floats, H: Floats, flags: Flags, unsure: float) -> M
     A mean of which many samples were clipped is a bound, as they are.
     """
     cell = np.floor((t - t[0]) / SMOOTH + 1e-6)
-    if t.size < 3.0 * (cell[-1] + 1.0):
+    if cell[-1] < 4.0 or t.size < 1.8 * (cell[-1] + 1.0):
         return restore(t, a, H, flags, unsure)
     begin = np.flatnonzero(np.diff(cell, prepend=-1.0))
     count = np.diff(np.append(begin, t.size))
