@@ -9,7 +9,15 @@ from nav_core.events.finding import OVER, SEVERE, TURNED, Finding
 from nav_core.events.record import EventKind, VehicleClass
 from nav_core.events.scene import MOVES, STANDS, STILL, Scene, scatter_of
 from nav_core.events.signs import Around, core_of, peak_of, signs_of, window_at
-from nav_core.events.trigger import AFTER_END, MULTI_EVENT, THRESHOLD, Stream, Window, first_not_before, groups
+from nav_core.events.trigger import (
+    AFTER_END,
+    MULTI_EVENT,
+    THRESHOLD,
+    Stream,
+    Window,
+    first_not_before,
+    groups,
+)
 from nav_core.records import Remark
 from nav_core.typing import Flags, Floats
 
@@ -238,7 +246,7 @@ def _turned_over(scene: Scene, found: list[Finding]) -> list[Finding]:
         return []
     rate = np.nan_to_num(scene.w[:, 0])
     roll = np.cumsum((rate - np.median(rate)) * stream.step)
-    later = np.minimum(np.searchsorted(stream.t, stream.t + ROLLS_WITHIN), stream.t.size - 1)
+    later = np.minimum(first_not_before(stream.t, stream.t + ROLLS_WITHIN), stream.t.size - 1)
     out: list[Finding] = []
     for first, last in groups(np.abs(roll[later] - roll) > OVER, stream.t, ROLLS_WITHIN):
         # It begins where it has turned by a tenth of what it does.
