@@ -279,6 +279,33 @@ def gps_rate(t: Floats, values: Floats, reach: float = 1.0) -> Floats:
     return (ahead - behind) / (2.0 * reach)
 
 
+def followed(fixes: Fixes, when: Floats, longest: float) -> Flags:
+    """Whether the receiver's course is known near enough on both sides, shape (m,).
+
+    Parameters
+    ----------
+    fixes : Fixes
+        n of them.
+    when : ndarray, shape (m,)
+        Box clock of the fixes, s.
+    longest : float
+        Between courses further apart it is not, s.
+
+    Returns
+    -------
+    ndarray of bool, shape (m,)
+        False before the first and after the last course.
+    """
+    known = fixes.t[np.isfinite(fixes.course)]
+    if known.size < 2:
+        return np.zeros(when.size, dtype=np.bool_)
+    after = np.searchsorted(known, when)
+    inside = (after > 0) & (after < known.size)
+    after = np.clip(after, 1, known.size - 1)
+    near: Flags = inside & (known[after] - known[after - 1] <= longest)
+    return near
+
+
 def clear_rate(t: Floats, values: Floats, noise: Floats | float) -> Floats:
     """Rate of change where it stands out of the receiver's `noise` (1 sigma), else nothing, shape (n,).
 

@@ -31,7 +31,7 @@ from server.models import Assignment, Installation, MountingRevision, new_id
 Estimator = Callable[[Ticks, Gnss, TripEvidence | None, Noise], Told]
 """A stretch of data, the evidence before it, and what is known of the roads."""
 
-ALGORITHM = "whole-drive/2"
+ALGORITHM = "whole-drive/3"
 EAGER_S = 20.0
 CALM_S = 60.0
 SLOW_S = 120.0
