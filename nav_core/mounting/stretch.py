@@ -280,7 +280,7 @@ def gps_rate(t: Floats, values: Floats, reach: float = 1.0) -> Floats:
 
 
 def followed(fixes: Fixes, when: Floats, longest: float) -> Flags:
-    """Whether the receiver's course is known near enough on both sides, shape (m,).
+    """Whether the receiver gave a course shortly before or after, shape (m,).
 
     Parameters
     ----------
@@ -289,20 +289,15 @@ def followed(fixes: Fixes, when: Floats, longest: float) -> Flags:
     when : ndarray, shape (m,)
         Box clock of the fixes, s.
     longest : float
-        Between courses further apart it is not, s.
+        How long before or after, s.
 
     Returns
     -------
     ndarray of bool, shape (m,)
-        False before the first and after the last course.
     """
-    known = fixes.t[np.isfinite(fixes.course)]
-    if known.size < 2:
-        return np.zeros(when.size, dtype=np.bool_)
+    known = np.concatenate([[-np.inf], fixes.t[np.isfinite(fixes.course)], [np.inf]])
     after = np.searchsorted(known, when)
-    inside = (after > 0) & (after < known.size)
-    after = np.clip(after, 1, known.size - 1)
-    near: Flags = inside & (known[after] - known[after - 1] <= longest)
+    near: Flags = np.minimum(when - known[after - 1], known[after] - when) <= longest
     return near
 
 
