@@ -3,6 +3,7 @@
 Receivers, roads and cars differ by factors.  A drive that is rougher than the model would make its
 own estimate look better than it is, and weigh the wrong measurements; so the levels are raised
 while that makes the recording more likely.  They are never lowered: a smooth drive earns no credit.
+So is the time over which the receiver's height wanders: height that is believed too much passes for slope.
 """
 
 from __future__ import annotations
@@ -23,7 +24,14 @@ _LADDER = (1.0, 1.5, 2.2, 3.3, 5.0, 8.0)
 _MOST: dict[tuple[str, ...], float] = {("drift",): 10.0}
 """No accelerometer drifts faster; left free, drift would explain away what tilt and slope should."""
 
-_PITCH_LEVELS = (("speed_white", "speed_slow"), ("heave",), ("force", "relative"), ("slope",), ("drift",))
+_PITCH_LEVELS = (
+    ("speed_white", "speed_slow"),
+    ("heave",),
+    ("force", "relative"),
+    ("slope",),
+    ("drift",),
+    ("height_time",),
+)
 _YAW_LEVELS = (("across_white", "across_slow"), ("bank",), ("relative_turn",))
 GAIN = 6.0
 """A step up must raise twice the log likelihood by this much."""

@@ -48,6 +48,7 @@ def true_noise(scenario: Scenario) -> Noise:
         slow_time=scenario.gnss_correlation,
         height_white=0.05,
         height_slow=scenario.gnss_height_noise,
+        height_time=scenario.gnss_correlation,
         slope=scenario.slope,
         slope_length=SLOPE_LENGTH,
         bank=scenario.bank,

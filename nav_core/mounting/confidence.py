@@ -15,8 +15,9 @@ from nav_core.mounting.model import TURN
 from nav_core.mounting.refine import BLOCK, Fit
 from nav_core.typing import Floats
 
-FLOOR = np.radians(0.03)
-"""What a box's triad and a car's springs do that the model does not know, rad per axis."""
+FLOOR = np.radians(0.06)
+"""What a box's triad and a car's springs do that the model does not know, rad per axis: springs that give half a
+degree per g less in braking than in accelerating alone make 0.05° of pitch."""
 
 CONVERGED = np.radians(2.0)
 """Limit of each sigma for "converged" and "ready", rad."""

@@ -22,7 +22,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from nav_core.mounting.stretch import Record, gps_rate, smoothed, unrolled
+from nav_core.mounting.stretch import Record, followed, gps_rate, smoothed, unrolled
 from nav_core.typing import Flags, Floats
 
 GRAVITY = 9.80665
@@ -52,10 +52,12 @@ class Noise:
     across_slow: float = 0.06
     """The same across the travel: course times speed, m/s."""
     slow_time: float = 4.0
-    """Correlation time of the slow errors of speed, course and height, s."""
+    """Correlation time of the slow errors of speed and course, s."""
     height_white: float = 0.5
     height_slow: float = 3.0
     """m."""
+    height_time: float = 4.0
+    """Correlation time of the slow error of height, s; of many receivers it is a minute."""
     slope: float = 0.03
     slope_length: float = 110.0
     """Deviation (rad) and correlation length (m) of the slope, a smooth (second-order) process."""
@@ -200,7 +202,8 @@ def turned(record: Record, R_va: Floats, lag: float) -> Frame:
     """The ticks in the V axes of the present estimate.
 
     Turn rate is lateral force over speed where it is quick, and the receiver's where it is slow:
-    the force also feels bank and bias, the receiver is late and coarse.
+    the force also feels bank and bias, the receiver is late and coarse.  Where the receiver gives no
+    course, the force alone tells.
 
     Parameters
     ----------
@@ -222,8 +225,9 @@ def turned(record: Record, R_va: Floats, lag: float) -> Frame:
     inverse = 1.0 / np.maximum(speed, FLOOR_SPEED)
     rolling = speed > FLOOR_SPEED
     felt = np.where(rolling, f[:, 1] * inverse, 0.0)
-    seen = np.where(rolling, np.interp(record.t + lag, fixes.t, gps_rate(fixes.t, unrolled(fixes.course))), 0.0)
-    w = felt + smoothed(record, seen - felt, TURN_SPAN)
+    seen = np.interp(record.t + lag, fixes.t, gps_rate(fixes.t, unrolled(fixes.course)))
+    told = np.where(rolling & followed(fixes, record.t + lag, LONGEST_STEP), seen - felt, 0.0)
+    w = felt + smoothed(record, told, TURN_SPAN)
     return Frame(f, w, w * speed, inverse)
 
 

@@ -28,9 +28,9 @@ from nav_core.mounting.online_model import (
 )
 from nav_core.mounting.online_rows import HORIZON, SLOWEST, Place, ready_fixes, records_of, rows_of
 from nav_core.mounting.online_stream import Chunk, fixes_where, joined, jumped_back, ticks_since
-from nav_core.mounting.online_tally import PIECE, Tally, moved_on, noted, piece_of, strangeness
+from nav_core.mounting.online_tally import PIECE, Tally, heard, moved_on, noted, piece_of, strangeness
 from nav_core.mounting.online_watch import Move, Watch, looked_after
-from nav_core.mounting.quality import reason
+from nav_core.mounting.reasons import reason
 from nav_core.mounting.stretch import Fixes, Record, gps_rate, unrolled
 from nav_core.mounting.trouble import wrong_unit
 from nav_core.records import Gnss, Reason
@@ -281,7 +281,7 @@ def _run_piece(works: list[_Work]) -> None:
             told = trace[ends[best] - steps[best] : ends[best]]
         tally = noted(work.state.tally, work.rows, work.state.place.fix, filters, told)
         if told.shape[0] and work.state.filters.x.shape[0] == end - begin:
-            tally = moved_on(tally, work.state.filters, filters)
+            tally = heard(moved_on(tally, work.state.filters, filters), work.rows, work.state.filters, filters)
         work.state = replace(work.state, filters=filters, tally=tally)
         begin = end
     for place, work in enumerate(watched, begin):
@@ -311,7 +311,7 @@ def _looked_at(state: OnlineState) -> OnlineState:
     if settled(filters) and state.tally.driven > ADAPTED_AFTER:
         filters = adapted(filters, state.tuning)
         if not filters.mirrored[filters.best]:
-            watch = looked_after(watch, filters, state.tally, state.tuning, float(state.tally.trail[-1, 0]))
+            watch = looked_after(watch, filters, state.tally, state.tuning)
     return replace(state, filters=filters, lags=(float(lags[0]), float(lags[1])), bias=bias, watch=watch)
 
 

@@ -52,6 +52,23 @@ def settled(filters: Filters) -> bool:
     return int(np.count_nonzero(filters.mirrored == filters.mirrored[filters.best])) == 1
 
 
+def handed(filters: Filters) -> float:
+    """Evidence for right-handed axes so far, see `trouble.handedness`; infinite once the mirrored ones are given up.
+
+    Parameters
+    ----------
+    filters : Filters
+        Of one box.
+
+    Returns
+    -------
+    float
+        Twice the log of likelihoods.
+    """
+    right, mirrored = filters.likelihood[~filters.mirrored], filters.likelihood[filters.mirrored]
+    return 2.0 * float(right.max(initial=-np.inf) - mirrored.max()) if mirrored.size else np.inf
+
+
 def stack(filters: Sequence[Filters | None], rows: Sequence[Floats]) -> tuple[Filters, Integers, Integers, Floats]:
     """Filters of many boxes side by side (copied), the ranges of their rows, and the rows.
 

@@ -60,6 +60,13 @@ SLOWEST = 1.0
 REST = 0.3
 """Standing: no fix within `HORIZON` is faster, m/s."""
 
+CREEP = 3.0
+"""A vehicle that has stood and has not been faster than this since may be going backwards, m/s: what the receiver
+says of speed and course is the same both ways."""
+
+STOOD = 0.8
+"""So slow, a receiver of one fix a second may have missed a stand, m/s."""
+
 LONGEST_STEP = 3.0
 """Between courses further apart the track is not followed, s."""
 
@@ -75,6 +82,8 @@ class Place(NamedTuple):
         Moments at which speed and track of the filter stand, s.
     speed, course : float
         What that fix said.
+    creeping : bool
+        Whether the vehicle may be going backwards, see `CREEP`.
     """
 
     fix: float
@@ -82,6 +91,7 @@ class Place(NamedTuple):
     course_at: float
     speed: float
     course: float
+    creeping: bool = True
 
 
 def ready_fixes(fixes: Fixes, after: float, heard: float) -> Flags:
@@ -145,7 +155,10 @@ def rows_of(
 
     edges = np.append(place.speed_at, when)
     rows[:, COVERED] = np.diff(at(record, edges, np.cumsum(record.step)))
-    rows[:, BROKEN] = np.abs(elapsed - rows[:, COVERED]) > 0.15
+    creeping = _creeping(speed, creeping=place.creeping)
+    standing = _standing(fixes, take)
+    backwards = np.append(place.creeping, creeping[:-1]) & ~standing
+    rows[:, BROKEN] = (np.abs(elapsed - rows[:, COVERED]) > 0.15) | backwards
     rows[:, FORCE : FORCE + 3] = np.diff(at(record, edges, integrate(record, record.f)), axis=0)
     known = np.isfinite(w) & (fixes.speed > SLOWEST)
     side = np.where(known, w, 0.0)
@@ -164,10 +177,19 @@ def rows_of(
     rows[:, SIDE] = (a * side / np.maximum(fixes.speed, SLOWEST) ** 2)[take] * apart
     last_course = np.append(place.course, course[:-1])
     rows[:, TRACK_LOST] = (apart > LONGEST_STEP) | np.isnan(course) | np.isnan(last_course) | (rows[:, BROKEN] > 0.0)
-    rows[:, STANDING] = _standing(fixes, take)
+    rows[:, STANDING] = standing
     if spin is not None and spin.t.size > 1:
         _add_gyro(rows, spin, edges, lags[0], fixes)
-    return rows, Place(float(t[-1]), float(when[-1]), float(when_course[-1]), float(speed[-1]), float(course[-1]))
+    last = float(speed[-1]), float(course[-1]), bool(creeping[-1])
+    return rows, Place(float(t[-1]), float(when[-1]), float(when_course[-1]), *last)
+
+
+def _creeping(speed: Floats, *, creeping: bool) -> Flags:
+    """Whether the vehicle has stood and has not been faster than `CREEP` since, at each fix; `creeping` before them."""
+    index = np.arange(speed.size)
+    stood = np.maximum.accumulate(np.where(speed < STOOD, index, -1))
+    fast = np.maximum.accumulate(np.where(speed > CREEP, index, -1))
+    return np.where((stood < 0) & (fast < 0), creeping, stood > fast)
 
 
 def _standing(fixes: Fixes, take: Integers) -> Flags:

@@ -8,13 +8,14 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from nav_core.mounting.confidence import CONVERGED
-from nav_core.mounting.online_measurements import CLIPPED
+from nav_core.mounting.online_measurements import CLIPPED, FADE
 from nav_core.mounting.online_model import (
     ACROSS,
     ALONG,
     BROKEN,
     ELAPSED,
     GPS_CHANGE,
+    GPS_COURSE,
     GPS_SPEED,
     OF_CLIMB,
     OF_COURSE,
@@ -80,6 +81,10 @@ def _no_moves() -> Floats:
     return np.zeros((3, 2))
 
 
+def _no_news() -> Floats:
+    return np.zeros((2, 2))
+
+
 def _no_trail() -> Floats:
     return np.empty((0, 14))
 
@@ -90,14 +95,19 @@ class Tally:
 
     Attributes
     ----------
-    driven, moving, along, across : float
-        Time since the first moving fix, in motion, and with noticeable acceleration along and across, s.
+    driven, moving, followed, along, across : float
+        Time since the first moving fix, in motion, that with a course, and with noticeable acceleration along and
+        across, s.
     turned : float
         Sum of all turning, rad.
     sure_since : float, optional
         `driven` from which on every sigma has stayed under `CONVERGED`, s.
     restless : ndarray, shape (3, 2)
         Squared moves of the estimate over the variance that they should have, and their number, by axis.
+    news : ndarray, shape (2, 2)
+        Squared normalised innovations of the last piece and their number: speed and course.
+    news_until : float
+        Box time of the last of them, s.
     trail : ndarray, shape (k, 14)
         One row for each of the last pieces: box time, mounting (9), change of speed as the force told it,
         GPS change, least speed, sound (1) or broken (0).
@@ -105,11 +115,14 @@ class Tally:
 
     driven: float = 0.0
     moving: float = 0.0
+    followed: float = 0.0
     along: float = 0.0
     across: float = 0.0
     turned: float = 0.0
     sure_since: float | None = None
     restless: Floats = field(default_factory=_no_moves)
+    news: Floats = field(default_factory=_no_news)
+    news_until: float = -np.inf
     trail: Floats = field(default_factory=_no_trail)
 
 
@@ -169,6 +182,7 @@ def noted(tally: Tally, rows: Floats, until: float, filters: Filters, trace: Flo
         tally,
         driven=float(driven[-1]),
         moving=tally.moving + float(span[fast].sum()),
+        followed=tally.followed + float(span[fast & np.isfinite(rows[:, GPS_COURSE])].sum()),
         along=tally.along + float(span[along].sum()),
         across=tally.across + float(span[across].sum()),
         turned=tally.turned + float(turn.sum()),
@@ -206,6 +220,33 @@ def moved_on(tally: Tally, before: Filters, after: Filters) -> Tally:
     restless[telling, 0] += np.minimum(move[telling] ** 2 / shrunk[telling], CLIPPED)
     restless[telling, 1] += 1.0
     return replace(tally, restless=restless)
+
+
+def heard(tally: Tally, rows: Floats, before: Filters, after: Filters) -> Tally:
+    """The tally with the innovations of these rows, added to those of the same piece.
+
+    Parameters
+    ----------
+    tally : Tally
+        What has been found so far, these rows included.
+    rows : ndarray, shape (k, 30)
+        Of one piece, or a part of it.
+    before, after : Filters
+        The same filters before and after the rows.
+
+    Returns
+    -------
+    Tally
+    """
+    kinds = [OF_SPEED, OF_COURSE]
+    number = np.array([rows.shape[0], np.count_nonzero(np.isfinite(rows[:, GPS_COURSE]))])
+    kept = (1.0 - 1.0 / FADE) ** number
+    best = after.best
+    squares = after.notes[best, kinds, 0] - kept * before.notes[best, kinds, 0]
+    news = np.column_stack([squares, number])
+    trail = tally.trail
+    same = trail.shape[0] > 0 and piece_of(tally.news_until) == piece_of(trail[-1, 0])
+    return replace(tally, news=tally.news + news if same else news, news_until=float(trail[-1, 0]))
 
 
 def restlessness(tally: Tally) -> Floats:

@@ -8,12 +8,20 @@ from nav_core.mounting.confidence import CONVERGED, STEADY, STEADY_SPAN, observa
 from nav_core.mounting.model import GRAVITY
 from nav_core.mounting.moved import LEAST_ANGLE
 from nav_core.mounting.online import LEAST_TICKS, LISTEN, MISMATCH, OnlineState, advance, begin
-from nav_core.mounting.online_hypotheses import settled
+from nav_core.mounting.online_hypotheses import handed, settled
 from nav_core.mounting.online_model import BIAS, SPEED_LAG, Filters
 from nav_core.mounting.online_stream import chunks_of
-from nav_core.mounting.online_tally import covariance_of, mounting_of, recent_test, restlessness, strangeness
-from nav_core.mounting.quality import LAG_KNOWN, MIN_EVENTFUL, MIN_MOVING, USELESS, missing, progress_of, reason
-from nav_core.mounting.trouble import explained, wrong_unit
+from nav_core.mounting.online_tally import (
+    Tally,
+    covariance_of,
+    mounting_of,
+    recent_test,
+    restlessness,
+    strangeness,
+)
+from nav_core.mounting.quality import LAG_KNOWN, MIN_EVENTFUL, MIN_MOVING, USELESS, missing, progress_of
+from nav_core.mounting.reasons import reason
+from nav_core.mounting.trouble import BENDS, FOLLOWED, HANDED, TRUSTED_AFTER, explained, wrong_unit
 from nav_core.records import Drive, MountingChange, MountingEstimate, Reason
 from nav_core.rotation import angle_between
 from nav_core.typing import Floats
@@ -64,9 +72,13 @@ def assess(state: OnlineState) -> MountingEstimate:
         return _without(min(progress, 0.2), reasons, state)
     if not settled(filters) or sigma.max() > USELESS:
         return _without(min(progress, 0.2), missing(sigma, tally.along, tally.turned), state)
-    restless = bool(restlessness(tally).max() > RESTLESS) or state.watch.suspicious
-    ready = bool(sigma.max() < CONVERGED) and eventful >= MIN_EVENTFUL and not restless
-    reasons = () if ready else (reason("contradiction"),) if restless else missing(sigma, tally.along, tally.turned)
+    doubts = _doubts(state)
+    ready = bool(sigma.max() < CONVERGED) and eventful >= MIN_EVENTFUL and not doubts
+    reasons = () if ready else doubts or missing(sigma, tally.along, tally.turned)
+    signs = _signs(filters, tally)
+    if signs is not None:
+        ready = ready and signs.code == "handedness_trusted"
+        reasons = (*reasons, signs)
     if not ready and strange > ROUGH:
         reasons = (*reasons, reason("rough"))
     known = np.sqrt(np.diag(filters.P[filters.best])[SPEED_LAG : SPEED_LAG + 2]) < LAG_KNOWN
@@ -114,6 +126,23 @@ def _foreign(filters: Filters, strange: float) -> Reason | None:
     if strange > MISMATCH or abs(filters.x[filters.best, BIAS + 2]) > NO_GRAVITY:
         return reason("mismatch")
     return reason("mirrored") if filters.mirrored[filters.best] else None
+
+
+def _doubts(state: OnlineState) -> tuple[Reason, ...]:
+    """Why an estimate that is sure of itself is not to be believed."""
+    if state.watch.suspicious or restlessness(state.tally).max() > RESTLESS:
+        return (reason("contradiction"),)
+    return (reason("startled"),) if state.watch.startled else ()
+
+
+def _signs(filters: Filters, tally: Tally) -> Reason | None:
+    """What is to be said of the signs of the axes; None once bends have told that they are right."""
+    bends = tally.across > BENDS
+    if bends and handed(filters) >= HANDED:
+        return None
+    if bends or tally.followed <= TRUSTED_AFTER:
+        return reason("no_course" if tally.followed < FOLLOWED * tally.moving else "handedness_open")
+    return reason("handedness_trusted")
 
 
 def _is_stable(state: OnlineState) -> bool:

@@ -106,6 +106,7 @@ def pitch_system(
     Phi[:, TILT, TILT], Q[:, TILT, TILT] = along, (1.0 - along**2) * noise.bank**2
     decay, fresh = first_order(elapsed, noise.slow_time)
     Phi[:, SPEED_ERROR, SPEED_ERROR], Q[:, SPEED_ERROR, SPEED_ERROR] = decay, fresh * noise.speed_slow**2
+    decay, fresh = first_order(elapsed, noise.height_time)
     Phi[:, HEIGHT_ERROR, HEIGHT_ERROR], Q[:, HEIGHT_ERROR, HEIGHT_ERROR] = decay, fresh * noise.height_slow**2
     lost = np.where(steps.broken, 1e4, 0.0)
     shaken = noise.force**2 * steps.dt + grain

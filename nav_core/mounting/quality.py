@@ -1,4 +1,4 @@
-"""From numbers to a status, and to words that tell a driver what to do."""
+"""From numbers to a status, and to what a driver can do about it."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 
 from nav_core.mounting.closed_form import Start
 from nav_core.mounting.confidence import CONVERGED, Confidence
+from nav_core.mounting.reasons import reason
 from nav_core.mounting.refine import BLOCK, Fit
 from nav_core.mounting.stretch import FOLLOW_SPEED, Record, gps_rate, unrolled
 from nav_core.records import MountingStatus, Reason
@@ -15,6 +16,10 @@ from nav_core.typing import Floats
 
 LEAST_FIXES = 3
 """Fewer satellite fixes hold no acceleration."""
+
+LEAST_TICKS = 20
+BRIEF = 5.0
+"""Fewer ticks hold nothing to fit; over more seconds of fixes than this it is the accelerometer that is missing, s."""
 
 MIN_MOVING = 15.0
 """Least time of driving before anything is said, s."""
@@ -42,60 +47,6 @@ known so well that a hundredth of a degree of something else would do for the fi
 WANDER = np.radians(15.0)
 """Gravity that keeps leaving its mean direction by this is not that of a fixed box, rad."""
 
-REASONS = {
-    "no_fix": "No satellite fix yet: give the antenna a view of the sky.",
-    "few_fixes": "Only just begun: drive a few minutes.",
-    "no_accelerometer": "No accelerometer data for the time of the satellite fixes.",
-    "not_driven": "The vehicle has not been driven yet: drive a few minutes.",
-    "few_events": "Drive a few minutes with some accelerating and braking.",
-    "no_turns": "Make two turns.",
-    "keep_driving": "Keep driving: the estimate is still getting better.",
-    "mismatch": "The accelerations do not match the satellite speed: is the vehicle being carried or towed?",
-    "rough": "The satellite data are poor or the ride is very rough; this takes longer.",
-    "contradiction": "Parts of the drive disagree about how the box sits: check that it is fixed firmly.",
-    "loose": "The box moves in its holder: fix it firmly.",
-    "wrong_unit": "The accelerometer sends {} instead of m/s²: correct its unit.",
-    "no_gravity": "The accelerometer sends acceleration without gravity: switch it to specific force.",
-    "dead_accelerometer": "The accelerometer sends nothing but zeros.",
-    "mirrored": "The accelerometer's sign is inverted, or one of its axes is: correct the sign in the box.",
-    "handedness_open": "Make two turns: the drive does not yet tell whether the accelerometer's signs are right.",
-    "handedness_trusted": "Without a bend, that the accelerometer's signs are right is taken on trust.",
-    "reversing": "{} s of reversing were left out.",
-    "gps_frozen": "The satellite receiver repeated old fixes for {} s; they were left out.",
-    "gps_late": "The satellite receiver is {} s late; this is accounted for.",
-    "slow_gps": "The satellite receiver gives {} fixes a second: enough, but it takes longer.",
-    "slow_accelerometer": "The accelerometer gives only {} samples a second: vibration blurs it, and it takes longer.",
-    "clock_jump": "The clock of the box jumped by {} s.",
-    "clock_torn": "The clock of the box jumped back; {} s around it were left out.",
-    "clock_back": "The clock of the box jumped back by {} s: the estimate began anew.",
-    "utc_jump": "The receiver's UTC jumped by {} s against the clock of the box.",
-    "aboard": "For {} min the vehicle was carried, by a ferry or a train; this was left out.",
-    "carried": "For a while the vehicle sat differently and came back: was it carried or towed?",
-}
-
-
-def reason(code: str, value: str = "") -> Reason:
-    """The reason of a code, with its sentence and the value it speaks of.
-
-    Parameters
-    ----------
-    code : str
-        Key of `REASONS`.
-    value : str
-        With its unit where the sentence has none.
-
-    Returns
-    -------
-    Reason
-        Code and English sentence.
-
-    Raises
-    ------
-    KeyError
-        For a code that has no sentence.
-    """
-    return Reason(code, REASONS[code].format(value))
-
 
 @dataclass(frozen=True, slots=True)
 class Excitation:
@@ -105,6 +56,8 @@ class Excitation:
     ----------
     moving : float
         Time faster than walking, s.
+    followed : float
+        Of that, with a course from the receiver, s.
     along, across : float
         Time with noticeable acceleration along and across, s.
     turned : float
@@ -116,6 +69,7 @@ class Excitation:
     """
 
     moving: float
+    followed: float
     along: float
     across: float
     turned: float
@@ -138,13 +92,14 @@ def excitation(record: Record) -> Excitation:
     """
     fixes = record.fixes
     if fixes.t.size < 2:
-        return Excitation(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        return Excitation(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     span = np.minimum(np.diff(fixes.t, prepend=fixes.t[0]), 2.0)
     moving = fixes.speed > FOLLOW_SPEED
     a = gps_rate(fixes.t, fixes.speed)
     w = gps_rate(fixes.t, unrolled(fixes.course)) * moving
     return Excitation(
         moving=float(span[moving].sum()),
+        followed=float(span[moving & np.isfinite(fixes.course)].sum()),
         along=float(span[np.abs(a) > NOTICEABLE].sum()),
         across=float(span[np.abs(w * fixes.speed) > NOTICEABLE].sum()),
         turned=float((span * np.abs(w)).sum()),
@@ -279,6 +234,27 @@ def refusal(why: Reason) -> Verdict:
     return Verdict("insufficient", 0.0, False, (why,))
 
 
+def too_little(record: Record) -> Reason | None:
+    """What a recording lacks before anything can be looked at; None to go on.
+
+    Parameters
+    ----------
+    record : Record
+        Ticks and fixes of a drive.
+
+    Returns
+    -------
+    Reason or None
+        No or few fixes, or no accelerometer.
+    """
+    t = record.fixes.t
+    if t.size < LEAST_FIXES:
+        return reason("few_fixes" if t.size else "no_fix")
+    if record.t.size < LEAST_TICKS:
+        return reason("no_accelerometer" if t[-1] - t[0] > BRIEF else "few_fixes")
+    return None
+
+
 def before_fit(record: Record, offered: Excitation) -> Verdict | None:
     """A verdict where there is nothing to fit; None to go on.
 
@@ -294,11 +270,9 @@ def before_fit(record: Record, offered: Excitation) -> Verdict | None:
     Verdict or None
         `insufficient`, with the reason.
     """
-    fixes = record.fixes.t.size
-    if fixes < LEAST_FIXES:
-        return Verdict("insufficient", 0.0, False, (reason("few_fixes" if fixes else "no_fix"),))
-    if record.t.size < 20:
-        return Verdict("insufficient", 0.0, False, (reason("no_accelerometer"),))
+    lacks = too_little(record)
+    if lacks is not None:
+        return refusal(lacks)
     share = min(offered.moving / MIN_MOVING, 1.0)
     if share < 1.0:
         return Verdict("insufficient", 0.1 * share, False, (reason("not_driven"),))

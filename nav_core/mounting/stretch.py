@@ -279,6 +279,28 @@ def gps_rate(t: Floats, values: Floats, reach: float = 1.0) -> Floats:
     return (ahead - behind) / (2.0 * reach)
 
 
+def followed(fixes: Fixes, when: Floats, longest: float) -> Flags:
+    """Whether the receiver gave a course shortly before or after, shape (m,).
+
+    Parameters
+    ----------
+    fixes : Fixes
+        n of them.
+    when : ndarray, shape (m,)
+        Box clock of the fixes, s.
+    longest : float
+        How long before or after, s.
+
+    Returns
+    -------
+    ndarray of bool, shape (m,)
+    """
+    known = np.concatenate([[-np.inf], fixes.t[np.isfinite(fixes.course)], [np.inf]])
+    after = np.searchsorted(known, when)
+    near: Flags = np.minimum(when - known[after - 1], known[after] - when) <= longest
+    return near
+
+
 def clear_rate(t: Floats, values: Floats, noise: Floats | float) -> Floats:
     """Rate of change where it stands out of the receiver's `noise` (1 sigma), else nothing, shape (n,).
 

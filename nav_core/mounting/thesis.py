@@ -40,13 +40,13 @@ SURE = np.radians(5.0)
 REASONS = {
     "no_fix": "No usable satellite fixes with accelerometer data yet.",
     "not_moving": "The vehicle has not moved yet: drive off.",
-    "too_short": "Drive on: the moving average needs {0:.0f} more samples.",
+    "too_short": "Drive on: another {0:.0f} s are needed.",
     "no_turns": "Make a few turns at junctions or a roundabout.",
     "not_stable": "The estimate still moves: drive on with some turns and braking.",
     "self_test_running": "Checking the estimate against GPS speed: drive on for {0:.0f} s.",
     "self_test_failed": "The estimate failed its check against GPS speed by {0:.1f} m/s: drive on.",
-    "unsure": "The check is passed, but the filter itself still doubts by {0:.0f}°: drive on with turns and braking.",
-    "filter_lost": "The filter's covariance has become meaningless, and its estimate with it.",
+    "unsure": "The check is passed, but the estimate may still be {0:.0f}° off: drive on with turns and braking.",
+    "filter_lost": "The calculation broke down, and its estimate with it: this method cannot follow the drive.",
 }
 """What each status means to a driver; a number fills the braces."""
 
@@ -282,7 +282,7 @@ def _reasons(run: ThesisRun) -> tuple[Reason, ...]:
         return (_reason("not_moving"),)
     reasons: list[Reason] = []
     if n < WINDOW:
-        reasons.append(_reason("too_short", WINDOW - n))
+        reasons.append(_reason("too_short", (WINDOW - n) * THESIS_PERIOD))
     if flow.trials:
         trial = flow.trials[-1]
         if trial.complete:

@@ -11,7 +11,7 @@ from nav_core.mounting.confidence import CONVERGED, observability
 from nav_core.mounting.fusion import TripEvidence, disagreement, joined, solved, trip_evidence, weakened
 from nav_core.mounting.model import Noise, less_crown
 from nav_core.mounting.moved import LEAST_ANGLE, SURE
-from nav_core.mounting.quality import reason
+from nav_core.mounting.reasons import reason
 from nav_core.mounting.trouble import HANDED, MIRRORED
 from nav_core.mounting.whole_drive import analyse, refused
 from nav_core.records import Gnss, MountingChange, MountingEstimate

@@ -17,7 +17,8 @@ import numpy as np
 
 from nav_core.mounting.closed_form import start
 from nav_core.mounting.model import GRAVITY, Noise
-from nav_core.mounting.quality import excitation, fits_a_car, reason
+from nav_core.mounting.quality import excitation, fits_a_car
+from nav_core.mounting.reasons import reason
 from nav_core.mounting.refine import HUBER, Fit, refine, weigh
 from nav_core.mounting.reversing import distances, reversals
 from nav_core.mounting.solution import EXCERPT, Solution, excerpt
@@ -76,8 +77,12 @@ QUIET = 1.15
 TRUSTED_AFTER = 180.0
 """So long a drive without a bend is a straight road, s."""
 
+FOLLOWED = 0.5
+"""With a course for less than this share of the driving, more driving will not tell either."""
+
 BENDS = 3.0
-"""Handedness shows in bends: with less noticeable acceleration across the travel it is taken on trust, s."""
+"""Handedness shows in bends: with less noticeable acceleration across the travel it is taken on trust, s.  What is
+left of a straight road is bank and the receiver's noise, and may speak against a box that is in order."""
 
 HANDED = 10.0
 """Twice the log of likelihoods: `ready` needs this much in favour of right-handed axes."""

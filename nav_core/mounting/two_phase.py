@@ -21,7 +21,8 @@ from scipy.spatial.transform import Rotation
 from nav_core.mounting.closed_form import level_basis
 from nav_core.mounting.confidence import CONVERGED, observability
 from nav_core.mounting.model import GRAVITY
-from nav_core.mounting.quality import USELESS, reason
+from nav_core.mounting.quality import USELESS, too_little
+from nav_core.mounting.reasons import reason
 from nav_core.mounting.stretch import Record, at, gps_rate, integrate, prepare, unrolled, usable_fixes
 from nav_core.mounting.trouble import explained, wrong_unit
 from nav_core.records import Drive, MountingEstimate, Reason
@@ -97,9 +98,9 @@ def estimate(drive: Drive, road: Road | None = None) -> MountingEstimate:
     if refused is not None:
         return _without(0.0, refused)
     record = prepare(ticks, usable_fixes(drive.gnss))
-    if record.fixes.t.size < 3 or record.t.size < 20:
-        code = "no_fix" if not record.fixes.t.size else "few_fixes" if record.t.size >= 20 else "no_accelerometer"
-        return _without(0.0, reason(code))
+    lacks = too_little(record)
+    if lacks is not None:
+        return _without(0.0, lacks)
     samples = _samples(record)
     steady, pushed = _steady(samples), _pushed(samples)
     tilted = float(samples.span[steady].sum())

@@ -22,15 +22,16 @@ from nav_core.mounting.quality import (
     excitation,
     gravity_wander,
     loosely_held,
-    reason,
     refusal,
     sway,
 )
+from nav_core.mounting.reasons import reason
 from nav_core.mounting.refine import Fit
 from nav_core.mounting.self_test import self_test
 from nav_core.mounting.stretch import Record, prepare, usable_fixes
 from nav_core.mounting.trouble import (
     BENDS,
+    FOLLOWED,
     HANDED,
     MIRRORED,
     TRUSTED_AFTER,
@@ -123,11 +124,12 @@ def analyse(ticks: Ticks, gnss: Gnss, *, noise: Noise | None = None) -> Analysis
             verdict = LOOSE
         found_wanting = _without(verdict, changes, remarks)
         return Analysis(replace(found_wanting, reasons=explained(found_wanting.reasons, ticks)), None)
-    trusted = not bends and offered.moving > TRUSTED_AFTER
-    if trusted:
-        remarks += (reason("handedness_trusted"),)
-    elif handed < HANDED:
-        verdict = verdict.held_back("handedness_open")
+    if handed < HANDED:
+        if bends or offered.followed <= TRUSTED_AFTER:
+            unfollowed = offered.followed < FOLLOWED * offered.moving
+            verdict = verdict.held_back("no_course" if unfollowed else "handedness_open")
+        else:
+            remarks += (reason("handedness_trusted"),)
     fit = last.solution.fit
     speed_lag, course_lag = _known_lags(fit)
     remarks += late(speed_lag, course_lag if bends else None)

@@ -23,7 +23,8 @@ def mount(args: argparse.Namespace) -> int:
     drive = read_drive_file(args.drive)
     result = mount_json(estimate_mounting(drive, method=args.method, traffic_side=args.traffic_side))
     if args.json:
-        print(json.dumps(result))
+        told = [{"code": remark.code, "detail": remark.detail} for remark in drive.remarks]
+        print(json.dumps({**result, "quality": [remark.code for remark in drive.remarks], "quality_details": told}))
         return 0
     print(f"{result['status']}  ({result['method']}, {result['percent']:.0f} %)")
     if result["euler_deg"] is not None:

@@ -21,6 +21,7 @@ from nav_core.mounting.online_verdict import assess
 from nav_core.records import Drive, Gnss, Inertial
 from nav_core.rotation import angle_between, error_between
 from nav_core.simulate import Move, Scenario, Truth, simulate
+from nav_core.simulate import faults as fault
 
 
 @lru_cache(maxsize=12)
@@ -250,6 +251,7 @@ def test_progress_and_reasons_on_the_way():
     assert found[0].status == "insufficient"
     assert {reason.code for reason in found[0].reasons} == {"not_driven"}
     assert all((each.status == "ready") == (not each.reasons) for each in found)
+    assert found[-1].status == "ready"
     progress = [each.progress for each in found]
     assert progress[-1] > progress[1]
     assert assess(begin()).reasons[0].code == "no_fix"
@@ -275,6 +277,61 @@ def test_inverted_left_handed_and_in_another_unit(mangle: np.ndarray, code: str)
     found = end_of(with_force(drive, drive.inertial.f @ mangle))
     assert found.status == "insufficient"
     assert code in {reason.code for reason in found.reasons}
+
+
+def test_signs_that_no_bend_has_told_of():
+    """On a straight road they are taken on trust after a while, and that is said; without a course never."""
+    straight, _ = drive_of("straight", 300.0, 5)
+    for drive in (straight, with_force(straight, -straight.inertial.f)):
+        early, late = (assess(states[-1]) for states in (run_through(cut(drive, 120.0)), run_through(drive)))
+        assert early.status != "ready"
+        assert late.status == "ready"
+        assert {reason.code for reason in late.reasons} == {"handedness_trusted"}
+    town, truth = drive_of("urban", 240.0, 21)
+    blind = replace(town, gnss=replace(town.gnss, course=np.full(town.gnss.t.size, np.nan)))
+    found = end_of(blind)
+    assert found.status == "settling"
+    assert "no_course" in {reason.code for reason in found.reasons}
+    assert np.degrees(angle_between(found.R_va, truth.R_va)) < 8.0
+
+
+def cut(drive: Drive, until: float) -> Drive:
+    felt, fixes = drive.inertial.t < until, drive.gnss.t < until
+    columns = [getattr(drive.gnss, name)[fixes] for name in ("t", "lat", "lon", "alt", "speed", "course", "fix")]
+    return Drive(Inertial(drive.inertial.t[felt], drive.inertial.f[felt]), Gnss(*columns))
+
+
+@pytest.mark.parametrize("rate", [1.0, 4.0])
+@pytest.mark.parametrize("first", [True, False], ids=["out of the parking place", "on the way"])
+def test_reversing_is_not_taken_for_driving(first: bool, rate: float):
+    """The receiver's speed and course are the same both ways."""
+    for seed in range(31, 34):
+        drive, truth = drive_of("urban", 240.0, seed, False, rate)
+        still = np.flatnonzero((truth.v < 0.01) & (truth.t > (1.0 if first else 60.0)))
+        at = float(truth.t[still[0]]) + 0.5
+        found = end_of(fault.backing_up(drive, truth.R_va, at, seed=seed, lasting=10.0))
+        assert found.status == "ready"
+        assert found.changes == ()
+        assert np.all(np.abs(error_between(found.R_va, truth.R_va)) < 3.5 * found.sigma)
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_a_box_that_is_tilted_far_is_not_called_ready_for_long(axis: int):
+    """The first seconds after it startle the filter, whenever the second one last forgot."""
+    for seed, at in ((3, 260.0), (4, 330.0), (5, 395.0)):
+        _, before = simulate(Scenario(duration=20.0), seed=seed)
+        turn = np.radians(20.0) * before.R_va.T[:, axis]
+        scenario = Scenario(duration=at + 100.0, accel_rate=50.0, moves=(Move(t=at, turn=tuple(turn)),))
+        drive, truth = simulate(scenario, seed=seed)
+        wrong, state, said = 0.0, begin(), set()
+        for chunk in chunks_of(drive, 5.0):
+            state = advance(state, chunk)
+            found = assess(state)
+            said |= {reason.code for reason in found.reasons}
+            if found.status == "ready" and state.gnss.t[-1] > at + 1.0:
+                wrong += 5.0 * (angle_between(found.R_va, truth.R_va) > np.radians(10.0))
+        assert "startled" in said or found.changes
+        assert wrong <= 15.0
 
 
 def moved_drive(axis: int, degrees: float, seed: int) -> tuple[Drive, Truth]:

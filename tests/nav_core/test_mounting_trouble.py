@@ -11,7 +11,7 @@ from nav_core.mounting import estimate_mounting
 from nav_core.mounting.reversing import reversals
 from nav_core.mounting.trouble import clock_jumps, frozen, sampling_rate
 from nav_core.records import Drive, Gnss, Inertial, MountingEstimate
-from nav_core.rotation import angle_between
+from nav_core.rotation import angle_between, error_between
 from nav_core.signal import decimate
 from nav_core.simulate import Move, Scenario, Truth, simulate
 from nav_core.simulate import faults as fault
@@ -103,6 +103,19 @@ def test_on_a_straight_road_the_signs_are_taken_on_trust_and_that_is_said():
     assert found.status == "ready"
     assert _codes(found) == {"handedness_trusted"}
     assert _error_deg(found, truth.R_va) < 4.0
+
+
+def test_without_a_course_the_mounting_is_known_but_for_the_signs():
+    """What turns cannot be seen turning is felt turning; into the bend or out of it, only a course tells."""
+    for seed in (5, 6, 7):
+        drive, truth = _drive(seed=seed)
+        blind = replace(drive, gnss=replace(drive.gnss, course=np.full(drive.gnss.t.size, np.nan)))
+        found = estimate_mounting(blind)
+        assert found.status == "settling"
+        assert _codes(found) == {"no_course"}
+        assert found.sigma is not None
+        assert np.all(np.abs(error_between(found.R_va, truth.R_va)) < 3.0 * found.sigma)
+        assert estimate_mounting(fault.logged_as(blind, INVERTED)).status != "ready"
 
 
 # How the box is fixed.

@@ -11,12 +11,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.signal import lfilter
 
 from nav_core.mounting import UnknownMethodError, estimate_mounting
 from nav_core.mounting.closed_form import start
 from nav_core.mounting.model import Noise
 from nav_core.mounting.stretch import prepare, usable_fixes
-from nav_core.mounting.whole_drive import estimate
+from nav_core.mounting.whole_drive import analyse, estimate
 from nav_core.records import Drive, Gnss, Inertial, MountingEstimate
 from nav_core.rotation import angle_between, error_between
 from nav_core.signal import Ticks, decimate, merge
@@ -124,6 +125,22 @@ def test_hills_do_not_pass_for_pitch():
     assert np.abs(errors[:, 1]).max() < 0.6
 
 
+def test_how_long_height_wanders_is_told_from_the_drive():
+    """Of many receivers it is a minute; slope is believed less then, not more."""
+    drive, truth = simulate(Scenario(duration=300.0, accel_rate=50.0, gnss_rate=1.0), seed=60)
+    usual = analyse(decimate(drive.inertial), drive.gnss).fit
+    calm, _ = simulate(Scenario(duration=300.0, accel_rate=50.0, gnss_rate=1.0, gnss_height_noise=0.3), seed=60)
+    keep = np.exp(-1.0 / 60.0)
+    fresh = np.sqrt(1.0 - keep**2) * np.random.default_rng(1).standard_normal(drive.gnss.t.size)
+    wandering = 4.0 * lfilter([1.0], [1.0, -keep], fresh)
+    high = replace(calm.gnss, alt=calm.gnss.alt + wandering)
+    found = analyse(decimate(drive.inertial), high)
+    assert usual is not None
+    assert found.fit is not None
+    assert usual.noise.height_time < 10.0 < found.fit.noise.height_time
+    assert np.all(np.abs(_error_deg(found.estimate, truth)) < 3.0 * np.degrees(found.estimate.sigma))
+
+
 def test_lags_of_speed_and_course_are_told_apart():
     drive, truth = simulate(Scenario(duration=300.0, speed_lag=1.2, course_lag=0.3), seed=11)
     found = estimate_mounting(drive)
@@ -228,8 +245,12 @@ def test_no_accelerometer_is_insufficient():
 
 
 def test_half_a_second_is_insufficient():
-    drive, _ = simulate(Scenario(duration=0.5), seed=1)
-    assert estimate_mounting(drive).status == "insufficient"
+    for duration in (0.5, 1.0):
+        drive, _ = simulate(Scenario(duration=duration, gnss_rate=4.0), seed=1)
+        for method in ("whole-drive", "online", "two-phase"):
+            found = estimate_mounting(drive, method=method)
+            assert found.status == "insufficient"
+            assert [reason.code for reason in found.reasons] == ["few_fixes"]
 
 
 def _sailing(seed: int, duration: float = 900.0) -> Drive:

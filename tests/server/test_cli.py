@@ -78,6 +78,18 @@ def test_mount_prints_the_contract(capsys, urban):
     assert np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))) < 4.0
 
 
+def test_mount_says_what_became_of_the_rows(capsys, tmp_path, urban):
+    header, *lines = urban.read_text(encoding="utf-8").splitlines()
+    disordered = tmp_path / "disordered.csv"
+    disordered.write_text("\n".join([header, *lines[100:200], *lines[:120], *lines[200:]]) + "\n", encoding="utf-8")
+    status, printed = run(capsys, "mount", disordered, "--json")
+    result = json.loads(printed.out)
+    assert status == 0
+    assert result["quality"] == ["rows_out_of_order", "inertial_rows_repeated"]
+    assert [told["code"] for told in result["quality_details"]] == result["quality"]
+    assert "20 inertial rows" in result["quality_details"][1]["detail"]
+
+
 def test_mount_by_the_thesis_filter(capsys, urban):
     status, printed = run(capsys, "mount", urban, "--method", "mekf", "--json")
     assert status == 0

@@ -9,7 +9,7 @@ import pytest
 from babel.messages.extract import extract_from_dir
 from babel.messages.pofile import read_po
 
-from nav_core.mounting.quality import REASONS
+from nav_core.mounting.reasons import REASONS
 from nav_core.mounting.thesis import REASONS as THESIS_REASONS
 from server.accounts.preferences import LANGUAGES, Preferences, View, preferred
 from server.errors import ProblemError
