@@ -9,7 +9,7 @@ from nav_core.events.finding import OVER, SEVERE, TURNED, Finding
 from nav_core.events.record import EventKind, VehicleClass
 from nav_core.events.scene import MOVES, STANDS, STILL, Scene, scatter_of
 from nav_core.events.signs import Around, core_of, peak_of, signs_of, window_at
-from nav_core.events.trigger import MULTI_EVENT, THRESHOLD, Stream, Window, groups
+from nav_core.events.trigger import MULTI_EVENT, THRESHOLD, Stream, Window, first_not_before, groups
 from nav_core.records import Remark
 from nav_core.typing import Flags, Floats
 
@@ -64,7 +64,7 @@ def swipes(scene: Scene, found: list[Finding]) -> list[Finding]:
         Of kind ``crash``, with the remark ``below_trigger``.
     """
     stream = scene.stream
-    j = np.minimum(np.searchsorted(stream.t, stream.t + 0.1), stream.t.size - 1)
+    j = np.minimum(first_not_before(stream.t, stream.t + 0.1), stream.t.size - 1)
     sideways = (np.abs(stream.v[j, 1] - stream.v[:, 1]) >= SWIPE_CHANGE) & _free(stream, found, 1.0)
     out: list[Finding] = []
     for first, last in groups(sideways, stream.t, 0.3):
@@ -130,6 +130,8 @@ def _further(scene: Scene, found: list[Finding]) -> list[Finding]:
     stream = scene.stream
     t = stream.t
     struck = [each for each in found if each.kind in SEVERE and scene.stands_before(float(t[each.window.zero]) - 1.0)]
+    if not struck:
+        return []
     hard = np.linalg.norm((stream.f - stream.rest)[:, :2], axis=1) >= TYRES
     out: list[Finding] = []
     for one in struck:
@@ -195,9 +197,9 @@ def tilted(scene: Scene, found: list[Finding]) -> list[Finding]:
     cell = np.floor((stream.t - stream.t[0]) / 0.5)  # those that hold samples: a clock may jump by years
     edges = np.concatenate([[0], np.flatnonzero(np.diff(cell)) + 1, [stream.t.size]])
     full = np.flatnonzero(np.diff(edges) > 2)
-    means = np.array([stream.f[edges[k] : edges[k + 1]].mean(axis=0) for k in full])
-    if means.size == 0:
+    if full.size == 0:
         return []
+    means = np.add.reduceat(stream.f, edges[:-1], axis=0)[full] / np.diff(edges)[full, None]
     size = np.linalg.norm(means, axis=1)
     usual = np.median(means, axis=0)
     lean = np.arccos(np.clip(means @ usual / np.maximum(size * np.linalg.norm(usual), 1e-9), -1.0, 1.0))

@@ -6,13 +6,14 @@ regulation are met whichever way the blow comes.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
 from nav_core.earth import STANDARD_GRAVITY
 from nav_core.records import Inertial
-from nav_core.typing import Flags, Floats, Integers
+from nav_core.typing import Flags, Floats, Integers, kernel
 
 KMH = 1.0 / 3.6
 
@@ -172,8 +173,59 @@ def integrate(a: Floats, step: Floats) -> Floats:
     return np.cumsum(middle * step[:, None], axis=0)
 
 
+@kernel
+def _before(t: Floats, f: Floats, calm: Flags, opening: Floats, hold: bool, rest: Floats) -> None:
+    """Set `rest` to the mean of `f` over the calm samples shortly before each, or what stands for it."""
+    n, first, last = t.size, 0, 0
+    total, counted = np.zeros((n + 1, 3)), np.zeros(n + 1)
+    for i in range(n):
+        counted[i + 1] = counted[i] + calm[i]
+        for axis in range(3):
+            total[i + 1, axis] = total[i, axis] + f[i, axis] * calm[i]
+    held = -1  # the last sample whose mean is known
+    for i in range(n):
+        while first < n and t[first] < t[i] - REST_SPAN[0]:
+            first += 1
+        while last < n and t[last] < t[i] - REST_SPAN[1]:
+            last += 1
+        count = counted[last] - counted[first]
+        known = count > 0.0 and t[i] - REST_SPAN[1] - t[first] >= 0.5 * REST_SPAN[1]
+        for axis in range(3):
+            if known:
+                rest[i, axis] = (total[last, axis] - total[first, axis]) / count
+            elif held >= 0:
+                rest[i, axis] = rest[held, axis]
+            else:
+                rest[i, axis] = opening[axis]
+        if known and hold:
+            held = i
+
+
 def _rest(t: Floats, f: Floats, calm: Flags) -> Floats:
     """Running mean of the force shortly before each sample; at the start of a recording, of its first moments."""
+    rest = np.empty(f.shape)
+    hold = not calm.all()  # violent for longer than the span: as it was when that began
+    _before(np.ascontiguousarray(t), np.ascontiguousarray(f), calm, opening_mean(t, f), hold, rest)
+    return rest
+
+
+def rest_reference(t: Floats, f: Floats, calm: Flags) -> Floats:
+    """What the kernel computes, in plain array code.
+
+    Parameters
+    ----------
+    t : ndarray, shape (n,)
+        Increasing, s.
+    f : ndarray, shape (n, 3)
+        Specific force, V axes, m/s².
+    calm : ndarray of bool, shape (n,)
+        Samples that count.
+
+    Returns
+    -------
+    ndarray, shape (n, 3)
+        V axes, m/s².
+    """
     total = np.concatenate([np.zeros((1, 3)), np.cumsum(f * calm[:, None], axis=0)])
     counted = np.concatenate([[0], np.cumsum(calm)])
     first, last = np.searchsorted(t, t - REST_SPAN[0]), np.searchsorted(t, t - REST_SPAN[1])
@@ -181,11 +233,10 @@ def _rest(t: Floats, f: Floats, calm: Flags) -> Floats:
     opening = opening_mean(t, f)
     known = (count > 0) & (t - REST_SPAN[1] - t[first] >= 0.5 * REST_SPAN[1]) if t.size else count > 0
     mean = (total[last] - total[first]) / np.maximum(count, 1)[:, None]
-    if not calm.all():
-        # Violent for longer than that: as it was when that began.
-        held = np.maximum.accumulate(np.where(known, np.arange(t.size), -1))
-        return np.where((held >= 0)[:, None], mean[held], opening)
-    return np.where(known[:, None], mean, opening)
+    if calm.all():
+        return np.where(known[:, None], mean, opening)
+    held = np.maximum.accumulate(np.where(known, np.arange(t.size), -1))
+    return np.where((held >= 0)[:, None], mean[held], opening)
 
 
 def opening_mean(t: Floats, f: Floats) -> Floats:
@@ -212,6 +263,82 @@ def opening_mean(t: Floats, f: Floats) -> Floats:
     return first.mean(axis=0) if calm else level
 
 
+@kernel
+def _places(t: Floats, at: Floats, out: Integers) -> None:
+    """Set `out` to ``np.searchsorted(t, at)`` of an `at` that does not decrease either: one walk along both."""
+    j = 0
+    for i in range(at.size):
+        while j < t.size and t[j] < at[i]:
+            j += 1
+        out[i] = j
+
+
+def first_not_before(t: Floats, at: Floats) -> Integers:
+    """Index of the first sample that is not before each moment; for many moments faster than looking each one up.
+
+    Parameters
+    ----------
+    t : ndarray, shape (n,)
+        Not decreasing, s.
+    at : ndarray, shape (k,)
+        Not decreasing, s.
+
+    Returns
+    -------
+    ndarray of int, shape (k,)
+        n where all samples are before.
+    """
+    out = np.empty(at.size, dtype=np.int64)
+    _places(np.ascontiguousarray(t), np.ascontiguousarray(at), out)
+    return out
+
+
+@kernel
+def _strongest(t: Floats, v: Floats, windows: Floats, best: Floats) -> None:
+    """Raise `best` to the largest horizontal change of `v` over any of the windows that begin at each sample."""
+    last = t.size - 1
+    for window in windows:
+        j = 0
+        for i in range(t.size):
+            until = t[i] + window
+            while j < last and t[j] < until:
+                j += 1
+            dx, dy = v[j, 0] - v[i, 0], v[j, 1] - v[i, 1]
+            if abs(dx) + abs(dy) > best[i]:  # a root is the dearest part, and this bounds it
+                best[i] = max(best[i], math.hypot(dx, dy))
+
+
+def strongest_reference(t: Floats, v: Floats, windows: Floats) -> Floats:
+    """What the kernel computes, in plain array code, m/s, shape (n,).
+
+    Parameters
+    ----------
+    t : ndarray, shape (n,)
+        Not decreasing, s.
+    v : ndarray, shape (n, 3)
+        m/s.
+    windows : ndarray, shape (k,)
+        s.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        m/s.
+    """
+    best = np.zeros(t.size)
+    for window in windows.tolist():
+        j = np.minimum(np.searchsorted(t, t + window), max(t.size - 1, 0))
+        change = v[j, :2] - v[:, :2]
+        np.maximum(best, np.hypot(change[:, 0], change[:, 1]), out=best)
+    return best
+
+
+def _changes(stream: Stream, windows: Floats) -> Floats:
+    best = np.zeros(stream.t.size)
+    _strongest(np.ascontiguousarray(stream.t), np.ascontiguousarray(stream.v), windows, best)
+    return best
+
+
 def change_within(stream: Stream, window: float) -> Floats:
     """Horizontal change of velocity from each sample over the following window, m/s, shape (n,).
 
@@ -227,9 +354,7 @@ def change_within(stream: Stream, window: float) -> Floats:
     ndarray, shape (n,)
         m/s.
     """
-    j = np.minimum(np.searchsorted(stream.t, stream.t + window), max(stream.t.size - 1, 0))
-    change = stream.v[j, :2] - stream.v[:, :2]
-    return np.hypot(change[:, 0], change[:, 1])
+    return _changes(stream, np.array([window]))
 
 
 def strongest_change(stream: Stream) -> Floats:
@@ -247,10 +372,7 @@ def strongest_change(stream: Stream) -> Floats:
     ndarray, shape (n,)
         m/s.
     """
-    best = np.zeros(stream.t.size)
-    for share in (0.2, 0.4, 0.6, 0.8, 1.0):
-        np.maximum(best, change_within(stream, share * TRIGGER_WINDOW), out=best)
-    return best
+    return _changes(stream, np.array([0.2, 0.4, 0.6, 0.8, 1.0]) * TRIGGER_WINDOW)
 
 
 def groups(flags: Flags, t: Floats, apart: float) -> list[tuple[int, int]]:

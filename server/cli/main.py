@@ -9,6 +9,7 @@ import argparse
 import datetime as dt
 import importlib
 import math
+import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -24,6 +25,8 @@ Add = Callable[[str, str, str], argparse.ArgumentParser]
 def main(argv: list[str] | None = None) -> int:
     """Run one command and return its exit status."""
     args = build_parser().parse_args(argv)
+    # Before numpy is imported: our matrices are small, and threads for them only spin on the cores of other processes.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     module, function = args.command
     command: Callable[[argparse.Namespace], int] = getattr(importlib.import_module(module), function)
     try:

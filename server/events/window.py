@@ -42,14 +42,15 @@ def merged(parts: Sequence[Part]) -> Columns:
         masked.append(values)
     names = dict.fromkeys(name for part in parts for name in part.columns.values)
     joined = {name: np.concatenate([_filled(values, name) for values in masked]) for name in names}
-    order = np.argsort(joined["t"], kind="stable")
-    joined = {name: values[order] for name, values in joined.items()}
+    if (np.diff(joined["t"]) < 0.0).any():
+        order = np.argsort(joined["t"], kind="stable")
+        joined = {name: values[order] for name, values in joined.items()}
     _drop_repeated_fixes(joined)
-    told = np.zeros(order.size, dtype=np.bool_)
+    told = np.zeros(joined["t"].size, dtype=np.bool_)
     for name, values in joined.items():
         if name != "t":
             told |= ~np.isnan(values)
-    return Columns({name: values[told] for name, values in joined.items()})
+    return Columns(joined if told.all() else {name: values[told] for name, values in joined.items()})
 
 
 def between(columns: Columns, first_s: float, last_s: float) -> Columns:
@@ -65,7 +66,9 @@ def _sampled(columns: Columns) -> Floats:
 
 
 def _rate(columns: Columns) -> float:
-    t = np.sort(_sampled(columns))
+    t = _sampled(columns)
+    if (np.diff(t) < 0.0).any():
+        t = np.sort(t)
     return 0.0 if t.size < 2 else 1.0 / max(float(np.median(np.diff(t))), 1e-9)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 
@@ -31,18 +31,19 @@ def to_drive(columns: Columns) -> Drive:
     A row is an inertial sample where it has specific force, and a fix report where it has any of
     lat, lon, alt, speed, course, fix.  Where `fix` is 0 the other values are not taken.
     """
-    order = np.argsort(columns.values["t"], kind="stable")
     remarks = list(columns.remarks)
+    sorted_values: Mapping[str, Floats] = columns.values
     moved = int(np.count_nonzero(np.diff(columns.values["t"]) < 0.0))
     if moved:
         remarks.append(Remark("rows_out_of_order", f"Time went back {moved} times; the rows were sorted"))
-    sorted_values = {name: values[order] for name, values in columns.values.items()}
+        order = np.argsort(columns.values["t"], kind="stable")
+        sorted_values = {name: values[order] for name, values in columns.values.items()}
     inertial = _inertial(sorted_values, remarks)
     gnss = _gnss(sorted_values, remarks)
     return Drive(inertial, gnss, tuple(remarks))
 
 
-def _kept(name: str, values: dict[str, Floats], rows: np.ndarray, remarks: list[Remark]) -> np.ndarray:
+def _kept(name: str, values: Mapping[str, Floats], rows: np.ndarray, remarks: list[Remark]) -> np.ndarray:
     """Indices of the sampled rows without those that repeat the time before them."""
     index = np.flatnonzero(rows)
     t = values["t"][index]
@@ -53,21 +54,21 @@ def _kept(name: str, values: dict[str, Floats], rows: np.ndarray, remarks: list[
     return index[~again]
 
 
-def _stacked(values: dict[str, Floats], names: tuple[str, ...], index: np.ndarray) -> Floats | None:
+def _stacked(values: Mapping[str, Floats], names: tuple[str, ...], index: np.ndarray) -> Floats | None:
     if names[0] not in values:
         return None
     triads = np.column_stack([values[name][index] for name in names])
     return None if np.isnan(triads).all() else triads
 
 
-def _optional(values: dict[str, Floats], name: str, index: np.ndarray) -> Floats | None:
+def _optional(values: Mapping[str, Floats], name: str, index: np.ndarray) -> Floats | None:
     if name not in values:
         return None
     column = values[name][index]
     return None if np.isnan(column).all() else column
 
 
-def _inertial(values: dict[str, Floats], remarks: list[Remark]) -> Inertial:
+def _inertial(values: Mapping[str, Floats], remarks: list[Remark]) -> Inertial:
     nothing = np.full(values["t"].size, np.nan)
     sampled = ~np.isnan(values.get("fx", nothing))
     others = np.zeros_like(sampled)
@@ -87,7 +88,7 @@ def _inertial(values: dict[str, Floats], remarks: list[Remark]) -> Inertial:
     )
 
 
-def _gnss(values: dict[str, Floats], remarks: list[Remark]) -> Gnss:
+def _gnss(values: Mapping[str, Floats], remarks: list[Remark]) -> Gnss:
     count = values["t"].size
     reported = np.zeros(count, dtype=np.bool_)
     for name in _FIX_COLUMNS:
@@ -122,7 +123,7 @@ def from_drive(drive: Drive) -> Columns:
     inertial, gnss = drive.inertial, drive.gnss
     t = np.union1d(inertial.t, gnss.t)
     at_inertial, at_gnss = np.searchsorted(t, inertial.t), np.searchsorted(t, gnss.t)
-    values: dict[str, Floats] = {"t": t}
+    values: Mapping[str, Floats] = {"t": t}
 
     def spread(name: str, index: np.ndarray, column: Floats) -> None:
         values[name] = np.full(t.size, np.nan)

@@ -9,11 +9,17 @@ from nav_core.events.trigger import (
     KMH,
     THRESHOLD,
     TRIGGER,
+    TRIGGER_WINDOW,
     WINDOW,
+    Stream,
+    _rest,
+    first_not_before,
     groups,
     integrate,
+    rest_reference,
     stream_of,
     strongest_change,
+    strongest_reference,
     window_around,
 )
 from nav_core.records import Inertial
@@ -52,6 +58,30 @@ def test_eight_km_h_within_150_ms_trigger_and_less_does_not():
     for delta_v, length, triggers in ((8.2, 0.14, True), (7.8, 0.14, False), (16.0, 0.5, False), (9.0, 0.02, True)):
         stream = stream_of(recording(200.0, delta_v=delta_v * KMH, length=length), np.eye(3))
         assert bool(strongest_change(stream).max() >= TRIGGER) is triggers
+
+
+@pytest.mark.parametrize("size", [0, 1, 2, 700])
+def test_compiled_search_for_the_strongest_change_and_plain_code_agree(size):
+    rng = np.random.default_rng(size)
+    t = np.cumsum(rng.choice([0.0, 0.004, 0.0061, 0.3], size))  # repeats, jitter, gaps
+    v = np.cumsum(rng.standard_normal((size, 3)), axis=0)
+    stream = Stream(t, v, np.diff(t, prepend=t[:1]), np.zeros_like(v), v, np.ones(size, dtype=np.bool_))
+    windows = np.array([0.2, 0.4, 0.6, 0.8, 1.0]) * TRIGGER_WINDOW
+    np.testing.assert_array_equal(strongest_change(stream), strongest_reference(t, v, windows))
+    for ahead in (-2.0, 0.0, 0.15):
+        np.testing.assert_array_equal(first_not_before(t, t + ahead), np.searchsorted(t, t + ahead))
+
+
+@pytest.mark.parametrize("size", [1, 2, 3000])
+@pytest.mark.parametrize("violent", [0.0, 0.002])
+def test_compiled_rest_and_plain_code_agree(size, violent):
+    rng = np.random.default_rng(size)
+    t = np.cumsum(rng.choice([0.004, 0.0061, 4.0], size, p=[0.6, 0.399, 0.001]))  # jitter, gaps
+    f = rng.standard_normal((size, 3)) - [0.0, 0.0, G]
+    calm = np.ones(size, dtype=np.bool_)
+    for k in np.flatnonzero(rng.random(size) < violent):
+        calm[k : k + 400] = False
+    np.testing.assert_array_equal(_rest(t, f, calm), rest_reference(t, f, calm))
 
 
 def test_one_g_of_braking_does_not_trigger():

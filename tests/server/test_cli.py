@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 import time
@@ -39,6 +40,22 @@ def test_help_answers_in_300_ms():
         return time.perf_counter() - began
 
     assert min(once() for _ in range(5)) < 0.3
+
+
+def test_linear_algebra_has_one_thread_in_every_command():
+    """Two workers on two cores took a third longer for a batch while each had threads that spun for small matrices."""
+    code = """
+from server.cli.main import main
+main(["allan", "none.csv"])
+import numpy as np
+from pathlib import Path
+np.ones((900, 900)) @ np.ones((900, 900))
+names = [task.joinpath("comm").read_text() for task in Path("/proc/self/task").iterdir()]  # others' have names of their own
+print(names.count(Path("/proc/self/comm").read_text()))
+"""
+    clean = {name: value for name, value in os.environ.items() if name != "OPENBLAS_NUM_THREADS"}
+    done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True, env=clean)
+    assert done.stdout.split()[-1] == "1"
 
 
 def test_simulate_writes_the_truth_beside_the_drive(urban):
