@@ -24,6 +24,8 @@ RESTART_S = (0.5, 30.0)
 HEALTHY_S = 60.0
 """A child that ran this long starts with the first pause again."""
 LOOK_S = 0.1
+ORPHAN_S = 1.0
+"""So often a busy child looks whether its supervisor still lives."""
 STOP_S = 8.0
 """Time to stop by themselves; after that children are killed, within the ten seconds that are promised."""
 
@@ -165,6 +167,23 @@ def follow_parent(gone: Callable[[], None]) -> None:
         gone()
 
     threading.Thread(target=watch, name="parent", daemon=True).start()
+
+
+def end_with_parent() -> None:
+    """In a supervised child that may be busy for long: end soon after the supervisor, wherever the work is.
+
+    The pipe tells of its end only who reads it; a worker in the middle of a round does not.
+    """
+    if parent_fd() is None:
+        return
+    parent, pause = os.getppid(), threading.Event()
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            pause.wait(ORPHAN_S)
+        os._exit(1)
+
+    threading.Thread(target=watch, name="orphan", daemon=True).start()
 
 
 def _close(process: subprocess.Popen[bytes]) -> None:

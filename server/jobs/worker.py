@@ -21,7 +21,7 @@ from server.jobs.due import burst_devices, due_devices
 from server.jobs.failures import Job, left_alone
 from server.jobs.rerun import Reruns
 from server.jobs.run import FIGURES, Tally, run_job
-from server.jobs.supervise import parent_fd
+from server.jobs.supervise import end_with_parent, parent_fd
 from server.migrations import serves
 from server.settings import Settings, set_numba_cache_dir
 from server.store import COLLECT_AGE, BlobStore, collect, open_store
@@ -50,6 +50,7 @@ def utc_now() -> dt.datetime:
 
 def run(settings: Settings) -> None:
     """Be a worker until SIGTERM, SIGINT, or the end of the supervisor."""
+    end_with_parent()
     _check_schema(settings)
     set_numba_cache_dir()
     os.nice(NICENESS)

@@ -169,3 +169,26 @@ def test_what_is_not_supervised_has_no_parent_to_follow(monkeypatch):
     monkeypatch.delenv(supervise.SUPERVISED, raising=False)
     assert supervise.parent_fd() is None
     supervise.follow_parent(pytest.fail)
+
+
+def test_a_busy_child_ends_soon_after_a_supervisor_that_was_killed(log):
+    """One that never reads its pipe, as a worker in the middle of a long round."""
+    busy = """
+import os, sys, time
+from pathlib import Path
+from server.jobs.supervise import end_with_parent
+end_with_parent()
+Path(sys.argv[1]).write_text(f"start {os.getpid()}\\n")
+while True: sum(range(10**6))
+"""
+    code = (
+        "import sys, time; from server.jobs.supervise import Child, Supervisor\n"
+        "Supervisor([Child('worker', [sys.executable, '-c', sys.argv[2], sys.argv[1]])]).start()\n"
+        "time.sleep(60)"
+    )
+    supervisor = subprocess.Popen([sys.executable, "-c", code, str(log), busy])
+    until(lambda: words(log) == ["start"])
+    pid = int(log.read_text().split()[1])
+    supervisor.kill()
+    supervisor.wait()
+    until(lambda: not is_alive(pid))
