@@ -137,6 +137,8 @@ def photograph(page: Page, path: Path, *, settle_s: float, full_page: bool = Fal
             notice = frame.locator(".mantine-Notification-closeButton")
             if notice.count() and notice.first.is_visible():
                 notice.first.dispatch_event("click")  # under software rendering a real one waits too long
+    page.evaluate("window.scrollTo(0, 0)")
+    page.wait_for_timeout(2_500)
     page.screenshot(path=path, full_page=full_page)
 
 
