@@ -116,7 +116,7 @@ def replay(page: Page, address: str, path: Path) -> None:
     time_box.wait_for()
     frame.locator("body").press("Space")
     time_box.fill("6.5")
-    photograph(page, path, settle_s=15, full_page=True)
+    photograph(page, path, settle_s=15)
 
 
 def analysis(page: Page, path: Path) -> None:
@@ -124,7 +124,7 @@ def analysis(page: Page, path: Path) -> None:
     page.get_by_role("link", name="Analyse the trip").click()
     page.get_by_role("button", name="Analyse").click()
     page.locator("figure.graph").first.wait_for()
-    photograph(page, path, settle_s=2, full_page=True)
+    photograph(page, path, settle_s=2)
 
 
 def photograph(page: Page, path: Path, *, settle_s: float, full_page: bool = False) -> None:
@@ -137,6 +137,8 @@ def photograph(page: Page, path: Path, *, settle_s: float, full_page: bool = Fal
             notice = frame.locator(".mantine-Notification-closeButton")
             if notice.count() and notice.first.is_visible():
                 notice.first.dispatch_event("click")  # under software rendering a real one waits too long
+    page.evaluate("window.scrollTo(0, 0)")
+    page.wait_for_timeout(2_500)
     page.screenshot(path=path, full_page=full_page)
 
 

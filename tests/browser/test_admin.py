@@ -12,6 +12,7 @@ from sqlalchemy import select
 
 from server.accounts.service import open_session
 from server.models import Device, EventRevision, JobFailure, Rerun, RerunItem, User, new_id
+from server.pages.audit_words import DEEDS
 from tests.browser.conftest import ARTIFACTS
 from tests.browser.test_events import event
 from tests.browser.test_every_page import keep
@@ -122,8 +123,8 @@ def test_the_administrators_way(open_page, screenshot):
     keep(page, screenshot, "story-admin-rerun")
     # All of it is in the log.
     tabs.get_by_role("link", name="Audit").click()
-    for words in ("jobs.replay", "box.added", "box.settings", "box.revoked", "channel.tested", "rule.added"):
-        expect(page.get_by_role("cell", name=words, exact=True)).to_have_count(1)
+    for action in ("jobs.replay", "box.added", "box.settings", "box.revoked", "channel.tested", "rule.added"):
+        expect(page.get_by_role("cell", name=DEEDS[action], exact=True)).to_have_count(1)
 
 
 def test_the_claims_handlers_way(event, site, open_page, screenshot):
@@ -161,6 +162,7 @@ def test_the_claims_handlers_way(event, site, open_page, screenshot):
     page.get_by_label("Note").fill("Seen with the driver")
     page.get_by_role("button", name="Confirm").click()
     expect(page.locator("#heading")).to_contain_text("Review: confirmed")
+    page.wait_for_load_state()  # its style, too
     page.evaluate("scrollTo(0, 0)")
     for width, which in ((1280, "desk"), (390, "phone")):
         page.set_viewport_size({"width": width, "height": 844})
