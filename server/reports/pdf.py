@@ -64,6 +64,7 @@ def report_pdf(
     """
     load_fonts()
     # The archive of evidence has all uploads; the report as many as leave it short.
+    content = b""
     for links in parts.LINKS:
         content, pages = _built(document, heading, Words(language), contradictions, links)
         if pages <= MOST_PAGES:
