@@ -1,8 +1,8 @@
 """Crash reconstruction: what hit, from where, how hard, how sure.
 
 `reconstruct_drive` is the front door.  ``reconstruct`` puts an event together, ``pulse`` has its axes, integral and
-filters, ``clipping`` the missing impulse, ``gps_change`` the fixes' own delta-V, ``indices`` and ``injury`` the
-severity, ``trajectory`` the way and the driver, ``edr`` the element table of 49 CFR 563.
+filters, ``clipping`` the missing impulse, ``gps_change`` and ``gps_after`` the fixes' own delta-V, ``indices`` and
+``injury`` the severity, ``trajectory`` the way and the driver, ``edr`` the element table of 49 CFR 563.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What the fixes say of a blow by themselves: speed before it, and velocity after it in the V axes at time zero.
+"""What the fixes say of a blow by themselves: speed before it; `gps_after` has the velocity after it.
 
 A fix describes a moment before its stamp.  From there to the blow, and from the blow to there, the accelerometer
 carries the velocity on; it is not clipped then.  So the fixes give the change over the blow alone, clipped or not.
