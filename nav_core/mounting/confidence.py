@@ -25,6 +25,13 @@ CONVERGED = np.radians(2.0)
 STRETCHES = 8
 """Parts of equal length whose estimates are compared."""
 
+SLOPE_STRETCHES = 16
+CLEAR_SLIP = 20.0
+LEAST_SLIP = np.radians(1.0)
+"""A mounting that turns steadily from the first to the last of so many stretches, by this squared in units of its own
+variance and by this angle, rad: a box that slips in its holder, or a bias that runs away.  The estimate is that of the
+middle; half of the way may be missing at the end."""
+
 _TRUST = 6.0
 """Degrees of freedom with which the model's own scatter is believed before the drive's."""
 
@@ -52,6 +59,8 @@ class Confidence:
         Mean square of the stretches' deviations over their own variances; 1 when the model holds.
     spread : ndarray, shape (3,)
         Size of what the deviations have beyond their own noise, rad.
+    slip : ndarray, shape (3,)
+        Steady turn about the V axes from begin to end, rad; 0 where none is clear.
     converged_after : float, optional
         Since the first stretch, s.
     stable : bool
@@ -62,6 +71,7 @@ class Confidence:
     widening: Floats
     scatter: Floats
     spread: Floats
+    slip: Floats
     converged_after: float | None
     stable: bool
 
@@ -104,19 +114,49 @@ def stretch_scatter(fit: Fit) -> tuple[Floats, int, Floats]:
     spread : ndarray, shape (3,)
         Of the deviations beyond their own noise, rad.
     """
-    groups = [part for part in np.array_split(fit.gram, STRETCHES) if part.size]
-    grams = np.array([part.sum(0) for part in groups])
-    e = np.concatenate([[1.0], fit.p])
-    pull = -(grams @ e)[:, 1:4]
-    information = np.einsum("kii->ki", grams[:, 1:4, 1:4])
-    used = information > 1e-2 * information.sum(0)
-    information = np.where(used, information, 0.0)
-    deviation = np.where(used, pull / np.maximum(information, 1e-12), 0.0)
+    information, deviation = _by_stretch(fit, STRETCHES)
+    used = information > 0.0
     mean = (information * deviation).sum(0) / np.maximum(information.sum(0), 1e-12)
     degrees = np.maximum(used.sum(0) - 1, 1)
     scatter = (information * (deviation - mean) ** 2).sum(0) / degrees
     usual = information.sum(0) / np.maximum(used.sum(0), 1)
     return scatter, int(degrees.min()), np.sqrt(np.maximum(scatter - 1.0, 0.0) / np.maximum(usual, 1e-12))
+
+
+def _by_stretch(fit: Fit, count: int) -> tuple[Floats, Floats]:
+    """Information and deviation of each stretch about each axis, all else held; 0 where it says little."""
+    grams = np.array([part.sum(0) for part in np.array_split(fit.gram, count) if part.size])
+    pull = -(grams @ np.concatenate([[1.0], fit.p]))[:, 1:4]
+    information = np.einsum("kii->ki", grams[:, 1:4, 1:4])
+    used = information > 1e-2 * information.sum(0)
+    information = np.where(used, information, 0.0)
+    return information, np.where(used, pull / np.maximum(information, 1e-12), 0.0)
+
+
+def steady_slip(fit: Fit) -> Floats:
+    """How far the mounting turns steadily from the begin of a drive to its end.
+
+    Parameters
+    ----------
+    fit : Fit
+        Of one record.
+
+    Returns
+    -------
+    ndarray, shape (3,)
+        About the V axes, rad; 0 where none is clear.
+    """
+    information, deviation = _by_stretch(fit, SLOPE_STRETCHES)
+    total = np.maximum(information.sum(0), 1e-12)
+    when = np.linspace(-0.5, 0.5, information.shape[0])[:, None]
+    when = when - (information * when).sum(0) / total
+    spread = np.maximum((information * when**2).sum(0), 1e-12)
+    turn = (information * when * deviation).sum(0) / spread
+    left = deviation - (information * deviation).sum(0) / total - turn * when
+    degrees = np.maximum((information > 0.0).sum(0) - 2, 1)
+    scatter = np.maximum((information * left**2).sum(0) / degrees, 1.0)
+    clear = (turn**2 * spread > CLEAR_SLIP * scatter) & (np.abs(turn) > LEAST_SLIP)
+    return np.where(clear, turn, 0.0)
 
 
 def _innovation_ratio(fit: Fit) -> float:
@@ -148,6 +188,9 @@ def assess(fit: Fit) -> Confidence:
     history[:, [0, 1, 2], [0, 1, 2]] += FLOOR**2
     history[:, 0, 0] += fit.noise.crown**2
     sigma = np.sqrt(np.einsum("kii->ki", history))
+    slip = steady_slip(fit)
+    covariance = history[-1] + np.diag((0.5 * slip) ** 2)
+    sigma[-1] = np.sqrt(np.diag(covariance))
     above = np.flatnonzero((sigma >= CONVERGED).any(axis=1))
     first_good = int(above[-1]) + 1 if above.size else 0
     converged_after = (first_good + 1) * BLOCK if first_good < sigma.shape[0] else None
@@ -155,11 +198,12 @@ def assess(fit: Fit) -> Confidence:
     moved = np.abs(p[back, TURN] - p[-1, TURN])
     allowed = np.maximum(STEADY, np.sqrt(np.maximum(sigma[back] ** 2 - sigma[-1] ** 2, 0.0)))
     return Confidence(
-        covariance=history[-1],
-        observability=observability(history[-1]),
+        covariance=covariance,
+        observability=observability(covariance),
         widening=widening,
         scatter=scatter,
         spread=spread,
+        slip=slip,
         converged_after=converged_after,
         stable=bool(back > 0 and np.all(moved <= allowed)),
     )

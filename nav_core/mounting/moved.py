@@ -233,8 +233,9 @@ def _differ(sides: tuple[Record, Record], before: Solution, after: Solution) -> 
     doubt = np.zeros((3, 3))
     heading = True
     for side, solution in zip(sides, (before, after), strict=True):
-        # The roads' mean bank is common to both sides.
-        covariance = assess(solution.fit).covariance
+        found = assess(solution.fit)
+        # The roads' mean bank is common to both sides; a turn within one of them may be the move itself.
+        covariance = found.covariance - np.diag((0.5 * found.slip) ** 2)
         covariance[0, 0] -= solution.fit.noise.crown**2
         doubt += covariance + FLOOR**2 * np.eye(3)
         offered = excitation(side)

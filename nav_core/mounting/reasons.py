@@ -17,6 +17,7 @@ REASONS = {
     "contradiction": "Parts of the drive disagree about how the box sits: check that it is fixed firmly.",
     "startled": "The box may just have been moved: keep driving.",
     "loose": "The box moves in its holder: fix it firmly.",
+    "slipping": "The box seems to turn slowly in its holder: check that it is fixed firmly.",
     "wrong_unit": "The accelerometer sends {} instead of m/s²: correct its unit.",
     "no_gravity": "The accelerometer sends acceleration without gravity: switch it to specific force.",
     "dead_accelerometer": "The accelerometer sends nothing but zeros.",

@@ -133,6 +133,7 @@ def analyse(ticks: Ticks, gnss: Gnss, *, noise: Noise | None = None) -> Analysis
     fit = last.solution.fit
     speed_lag, course_lag = _known_lags(fit)
     remarks += late(speed_lag, course_lag if bends else None)
+    remarks += (reason("slipping"),) if found.slip.any() else ()
     remarks += came_back([piece.solution.fit.R_va for piece in pieces])
     before_moving = offered.first_moving - fit.begin
     known = MountingEstimate(

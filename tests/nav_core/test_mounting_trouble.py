@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from nav_core.mounting import estimate_mounting
 from nav_core.mounting.reversing import reversals
@@ -140,6 +141,23 @@ def test_a_loose_box_is_never_ready(route: str, loosen: object):
         found = estimate_mounting(loosen(drive, seed))  # type: ignore[operator]
         assert found.status != "ready"
         assert found.reasons
+
+
+@pytest.mark.parametrize(("axis", "degrees"), [(0, 3.0), (0, 6.0), (2, 3.0)])
+def test_a_box_that_slips_slowly_is_named_and_in_the_sigma(axis: int, degrees: float):
+    """The estimate is that of the middle of the drive, the box has gone on."""
+    drive, truth = simulate(replace(DECIMATED, duration=900.0, gnss_rate=1.0), seed=40)
+    t = drive.inertial.t
+    way = np.zeros((t.size, 3))
+    way[:, axis] = np.radians(degrees) * t / t[-1]
+    turns = Rotation.from_rotvec(way)
+    slipped = turns.apply(drive.inertial.f @ truth.R_va.T) @ truth.R_va
+    found = estimate_mounting(replace(drive, inertial=Inertial(t=t, f=slipped)))
+    assert "slipping" in _codes(found)
+    assert found.R_va is not None
+    assert found.sigma is not None
+    at_the_end = turns[-1].inv().as_matrix() @ truth.R_va
+    assert np.all(np.abs(error_between(found.R_va, at_the_end)) < 2.0 * found.sigma)
 
 
 # The receiver and the clocks.

@@ -85,9 +85,9 @@ def test_mount_says_what_became_of_the_rows(capsys, tmp_path, urban):
     status, printed = run(capsys, "mount", disordered, "--json")
     result = json.loads(printed.out)
     assert status == 0
-    assert result["quality"] == ["rows_out_of_order", "inertial_rows_repeated"]
+    assert result["quality"][:2] == ["rows_out_of_order", "inertial_rows_repeated"]
     assert [told["code"] for told in result["quality_details"]] == result["quality"]
-    assert "20 inertial rows" in result["quality_details"][1]["detail"]
+    assert "inertial rows repeat a time" in result["quality_details"][1]["detail"]
 
 
 def test_mount_by_the_thesis_filter(capsys, urban):
