@@ -177,8 +177,8 @@ def test_the_claims_handlers_way(event, site, open_page, screenshot):
     with page.expect_download() as download:
         page.get_by_role("link", name="CSV").click()
     assert "confirmed,Seen with the driver" in Path(download.value.path()).read_text()
-    page.get_by_role("searchbox").fill("Claim 4711")
-    page.get_by_role("searchbox").press("Enter")
+    page.get_by_role("searchbox", name="Search for").fill("Claim 4711")
+    page.get_by_role("searchbox", name="Search for").press("Enter")
     page.wait_for_url(f"**/events/{event}")
     page.goto(f"/events/{event}/compare?before=1&after=1")
     expect(page.get_by_role("heading", name="Revisions compared")).to_be_visible()

@@ -62,7 +62,7 @@ def test_the_search_leads_to_the_vehicle(site, open_page):
     page.keyboard.type("ga101")
     page.keyboard.press("Enter")
     expect(page).to_have_url(f"{site.address}/vehicles/{site.vehicles['Fiat Panda']}")
-    page.get_by_role("searchbox").fill("Piaggio nothing")
+    page.get_by_role("searchbox", name="Search for").fill("Piaggio nothing")
     page.keyboard.press("Enter")
     expect(page.locator("#boxes")).to_contain_text("Nothing fits.")
 
