@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import copy
 import datetime as dt
+import sqlite3
 import time
 from collections.abc import Generator
 from contextlib import contextmanager
@@ -15,7 +16,7 @@ from typing import Any
 import psycopg
 from sqlalchemy import DateTime, Engine, create_engine, event, text
 from sqlalchemy.engine import Dialect
-from sqlalchemy.engine.interfaces import DBAPIConnection
+from sqlalchemy.engine.interfaces import DBAPIConnection, DBAPICursor
 from sqlalchemy.exc import InvalidatePoolError
 from sqlalchemy.orm import Session, sessionmaker
 from sqlalchemy.pool import ConnectionPoolEntry, PoolProxiedConnection
@@ -29,6 +30,7 @@ CHANGE_LOCK = 0x5CA701A
 ORGANISATION = "organisation_id"
 # A connection that was used so lately is taken to stand still.
 _FRESH_S = 1.0
+_WAL_S = 30.0
 
 
 class UtcDateTime(TypeDecorator[dt.datetime]):
@@ -90,9 +92,25 @@ def _prepare_sqlite(connection: DBAPIConnection, record: ConnectionPoolEntry) ->
     # The driver must not begin transactions by itself: `_begin_sqlite` does, with the kind that is wanted.
     connection.isolation_level = None  # pyright: ignore[reportAttributeAccessIssue]  sqlite3's own attribute
     cursor = connection.cursor()
-    for pragma in ("journal_mode=WAL", "synchronous=FULL", "foreign_keys=ON", "busy_timeout=30000"):
+    cursor.execute("PRAGMA busy_timeout=30000")
+    _use_wal(cursor)
+    for pragma in ("synchronous=FULL", "foreign_keys=ON"):
         cursor.execute(f"PRAGMA {pragma}")
     cursor.close()
+
+
+def _use_wal(cursor: DBAPICursor) -> None:
+    """Change the journal; of two processes that do so at once SQLite refuses one without waiting for the time-out."""
+    until = time.monotonic() + _WAL_S
+    while True:
+        try:
+            cursor.execute("PRAGMA journal_mode=WAL")
+        except sqlite3.OperationalError:
+            if time.monotonic() > until:
+                raise
+            time.sleep(0.02)
+        else:
+            return
 
 
 def _begin_sqlite(connection: Any) -> None:  # SQLAlchemy passes its Connection untyped to listeners

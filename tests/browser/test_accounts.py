@@ -47,6 +47,6 @@ def test_a_new_person_comes_in_and_secures_the_account(open_page, screenshot):
     expect(ada.get_by_role("heading", name="Fleet")).to_be_visible()
 
     page.goto("/audit")
-    for words in ("user.added", "password.changed", "totp.on", "sign_in", "location.read"):
+    for words in ("Person added", "Password changed", "Authenticator set up", "Signed in", "Saw locations"):
         expect(page.get_by_role("cell", name=words, exact=True).first).to_be_visible()
     screenshot(page, "audit")

@@ -171,7 +171,7 @@ def test_the_vehicle_page_shows_use_theft_mode_and_diagnosis(site, open_page, sc
     page = open_page(f"/vehicles/{vehicle_id}", **size)
     driving = page.locator("#driving")
     expect(driving).to_contain_text("of 100")
-    expect(driving).to_contain_text("score = 100 * 2^(-rate/5)")
+    expect(driving).to_contain_text("50 is five of them on 100 km")
     expect(page.locator("#diagnosis")).to_contain_text("12.4")
     theft = page.locator("#theft")
     expect(theft).to_contain_text("Off")

@@ -186,6 +186,7 @@ def test_a_server_that_does_not_answer_or_a_wrong_setting_is_one_clear_line(
 ):
     monkeypatch.setenv("SCATOLA_DATA_DIR", str(tmp_path))
     monkeypatch.setenv(name, value)
+    monkeypatch.setattr("server.cli.processes.share_figures", lambda: None)  # it is for the whole of a process
     status, printed = run(capsys, command)
     assert status == 1
     lines = [line for line in printed.err.splitlines() if line.startswith("scatola: ")]
