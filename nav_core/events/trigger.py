@@ -6,7 +6,6 @@ regulation are met whichever way the blow comes.
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -305,7 +304,7 @@ def _strongest(t: Floats, v: Floats, windows: Floats, best: Floats) -> None:
                 j += 1
             dx, dy = v[j, 0] - v[i, 0], v[j, 1] - v[i, 1]
             if abs(dx) + abs(dy) > best[i]:  # a root is the dearest part, and this bounds it
-                best[i] = max(best[i], math.hypot(dx, dy))
+                best[i] = max(best[i], np.hypot(dx, dy))
 
 
 def strongest_reference(t: Floats, v: Floats, windows: Floats) -> Floats:
