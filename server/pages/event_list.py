@@ -18,7 +18,6 @@ from server.events import queries as events
 from server.models import Device, Event, Vehicle
 from server.pages import lists, queries
 from server.pages.events import REVIEWS, Line
-from server.pages.forms import day
 from server.pages.routes import answer
 from server.wording import marked
 
@@ -64,12 +63,7 @@ class Wanted(lists.Wanted):
             found += [Event.severe.is_(True), Event.verdict.is_(None)]
         elif self.review != "any":
             found.append(Event.verdict == self.review)
-        first, last = day(self.since), day(self.until, following=1)
-        if first is not None:
-            found.append(Event.at >= first)
-        if last is not None:
-            found.append(Event.at < last)
-        return found
+        return found + lists.between(Event.at, self.since, self.until)
 
 
 def _wanted(
@@ -95,11 +89,10 @@ def listed(session: Session, organisation_id: str, wanted: Wanted) -> tuple[Sequ
         .outerjoin(Vehicle, Vehicle.id == Event.vehicle_id)
         .where(Event.organisation_id == organisation_id, *events.LISTED, *wanted.conditions())
     )
-    found = session.scalar(query.with_only_columns(func.count())) or 0
     column = _SORTED[wanted.sort]
     order = (column.desc() if wanted.down else column.asc()).nulls_last()
-    rows = query.order_by(order, Event.at.desc(), Event.id).offset(wanted.place(found).before)
-    return [Line(event, vehicle, device) for event, vehicle, device in session.execute(rows.limit(lists.PAGE))], found
+    rows, found = lists.rows_of(session, query, wanted, order, Event.at.desc(), Event.id)
+    return [Line(event, vehicle, device) for event, vehicle, device in rows], found
 
 
 @router.get("/events")

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import datetime as dt
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, TypeVarTuple
 from urllib.parse import urlencode
 
-from sqlalchemy import ColumnElement, func, or_
-from sqlalchemy.orm import InstrumentedAttribute
+from sqlalchemy import ColumnElement, Row, Select, func, or_
+from sqlalchemy.orm import InstrumentedAttribute, Session
 
 from server.models import Device, Vehicle
+from server.pages.forms import day
+
+Columns = TypeVarTuple("Columns")
 
 PAGE = 50
 
@@ -60,3 +65,18 @@ def named(q: str, *more: InstrumentedAttribute[Any]) -> list[ColumnElement[bool]
     # A plate is found with and without its blanks.
     columns = (Device.name, Vehicle.name, Vehicle.plate, func.replace(Vehicle.plate, " ", ""), *more)
     return [or_(*(column.icontains(word, autoescape=True) for column in columns)) for word in q.split()]
+
+
+def between(at: InstrumentedAttribute[dt.datetime], since: str, until: str) -> list[ColumnElement[bool]]:
+    """Conditions: from the beginning of one day to the end of another, UTC; raises `InvalidError` when one is none."""
+    first, last = day(since), day(until, following=1)
+    return ([] if first is None else [at >= first]) + ([] if last is None else [at < last])
+
+
+def rows_of(
+    session: Session, query: Select[*Columns], wanted: Wanted, *order: ColumnElement[Any] | InstrumentedAttribute[Any]
+) -> tuple[Sequence[Row[*Columns]], int]:
+    """Rows of the page that is wanted, and how many the filters leave."""
+    found = session.scalar(query.with_only_columns(func.count())) or 0
+    page = query.order_by(*order).offset(wanted.place(found).before).limit(PAGE)
+    return session.execute(page).all(), found

@@ -16,7 +16,6 @@ from server.edge import DatabaseOf
 from server.errors import ProblemError
 from server.models import Device, Trip, Vehicle
 from server.pages import frame, lists, queries
-from server.pages.forms import day
 from server.pages.routes import answer
 
 router = APIRouter(include_in_schema=False, default_response_class=HTMLResponse)
@@ -46,13 +45,8 @@ class Wanted(lists.Wanted):
 
     def conditions(self, per_m: float) -> list[ColumnElement[bool]]:
         """Of the filters, `per_m` from metres to the reader's unit; raises `InvalidError` when a day is none."""
-        found = [*lists.named(self.q), Trip.distance_m >= self.shortest / per_m]
-        first, last = day(self.since), day(self.until, following=1)
-        if first is not None:
-            found.append(Trip.began_at >= first)
-        if last is not None:
-            found.append(Trip.began_at < last)
-        return found
+        days = lists.between(Trip.began_at, self.since, self.until)
+        return [*lists.named(self.q), Trip.distance_m >= self.shortest / per_m, *days]
 
 
 @dataclass(frozen=True)
@@ -97,11 +91,10 @@ def listed(session: Session, organisation_id: str, wanted: Wanted, per_m: float)
         .outerjoin(Vehicle, Vehicle.id == Trip.vehicle_id)
         .where(Trip.organisation_id == organisation_id, *wanted.conditions(per_m))
     )
-    found = session.scalar(query.with_only_columns(func.count())) or 0
     column = _SORTED[wanted.sort]
-    rows = query.order_by(column.desc() if wanted.down else column.asc(), Trip.began_at.desc(), Trip.id)
-    rows = rows.offset(wanted.place(found).before).limit(lists.PAGE)
-    return [Line(trip, device, vehicle) for trip, device, vehicle in session.execute(rows)], found
+    order = column.desc() if wanted.down else column.asc()
+    rows, found = lists.rows_of(session, query, wanted, order, Trip.began_at.desc(), Trip.id)
+    return [Line(trip, device, vehicle) for trip, device, vehicle in rows], found
 
 
 @router.get("/trips")
