@@ -10,9 +10,8 @@ from importlib import metadata
 from anyio import CapacityLimiter
 from fastapi import FastAPI
 from starlette.concurrency import run_in_threadpool
-from starlette.staticfiles import StaticFiles
 
-from server import description, health, problems
+from server import description, health, problems, static_files
 from server.accounts import routes as accounts
 from server.accounts import user_routes as users
 from server.accounts.audit import RecentLooks
@@ -47,7 +46,6 @@ from server.pages import trips as trip_pages
 from server.pages import workbench as workbench_pages
 from server.privacy import routes as privacy
 from server.reports import routes as reports
-from server.resources import folder
 from server.settings import Settings
 from server.signals import routes as signals
 from server.signals.thin import Memory
@@ -172,8 +170,7 @@ def create_app(settings: Settings, *, clock: Clock = utc_now) -> FastAPI:
         admin_work,
     ):
         app.include_router(part.router, responses=problems.described(401, 403, 404, 422))
-    app.mount("/static/vendor", StaticFiles(directory=folder("web") / "vendor", check_dir=False))
-    app.mount("/static", StaticFiles(directory=folder("web") / "static", check_dir=False))
+    static_files.mount(app)
 
     # The last that is added is the outermost.
     app.add_middleware(

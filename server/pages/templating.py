@@ -14,6 +14,7 @@ from markupsafe import Markup
 from starlette.requests import HTTPConnection
 from starlette.responses import HTMLResponse
 
+from server import static_files
 from server.accounts.places import seen
 from server.accounts.preferences import LANGUAGES, Language
 from server.language import catalogue, script_words
@@ -59,6 +60,7 @@ def environment(language: Language) -> Environment:
     words = script_words(language)
     shared: dict[str, Any] = {
         "seen": seen,
+        "static": static_files.address(),
         "said": catalogue(language).gettext,  # texts of variables; a call of _ would format them
         "reason": partial(_reason, language),
         "script_words": orjson.dumps(words).decode() if words else "",

@@ -19,7 +19,7 @@ from server.events import queries
 from server.models import Event
 from server.view3d.bodywork import BODIES, Body
 from server.view3d.pool import close_share
-from server.view3d.scene import AXIS_COLOURS, R_WORLD_V, draw_body, wxyz
+from server.view3d.scene import AXIS_COLOURS, R_WORLD_V, draw_body, light, wxyz
 
 BEFORE_S, AFTER_S = 6.0, 6.0
 FRAMES_PER_S = 20
@@ -75,7 +75,7 @@ class _Replay:
 
     def recorded(self) -> bytes:
         scene, way = self._scene, self._way
-        scene.configure_default_lights(enabled=False)
+        light(scene)
         scene.add_grid(
             "/ground", 60.0, 60.0, cell_size=1.0, section_size=5.0, cell_color=_LINE, section_color=_LINE,
             cell_thickness=0.4, section_thickness=0.8, fade_distance=60.0, fade_strength=2.0, fade_from="origin",

@@ -52,7 +52,7 @@ class MountingScene:
         self._mounting: viser.FrameHandle | None = None
         self._shown: MountingView | None = None
         server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="medium")
-        server.scene.configure_default_lights(enabled=False)
+        light(server.scene)
         self._panel = server.gui.add_html("")
         server.scene.add_grid(
             "/ground", 16.0, 16.0, cell_size=1.0, section_size=4.0, cell_color=_LINE, section_color=_LINE,
@@ -194,6 +194,18 @@ class MountingScene:
             position=(0.0, 0.0, -1.5 * radius),
             anchor="bottom-center",
         )
+
+
+def light(scene: viser.SceneApi) -> None:
+    """A bright sky over a dim ground and a sun behind the onlooker's shoulder, none of which casts a shadow.
+
+    viser's own lamps surround the scene with a photograph: prettier by little, and the half of the time that
+    software rendering needs for the first picture.
+    """
+    scene.configure_default_lights(enabled=False)
+    scene.configure_environment_map(None)
+    scene.add_light_hemisphere("/light/sky", sky_color=(255, 255, 255), ground_color=(170, 176, 190), intensity=2.6)
+    scene.add_light_directional("/light/sun", intensity=1.4, position=(4.0, 6.0, 9.0))
 
 
 def draw_body(scene: viser.SceneApi, root: str, body: Body) -> viser.FrameHandle:
