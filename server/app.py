@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import datetime as dt
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
 from importlib import metadata
@@ -34,6 +33,7 @@ from server.installations import routes as installations
 from server.limits import BodyLimit, NoNul, TokenBuckets
 from server.live import routes as live
 from server.migrations import serves
+from server.moments import utc_now
 from server.operations import routes as operations
 from server.pages import accounts as account_pages
 from server.pages import admin, admin_alerts, admin_boxes, admin_work, event_list, fleet_routes, how, templating
@@ -59,11 +59,6 @@ from server.view3d import proxy, replay, tickets
 MAX_JSON_BYTES = 1024 * 1024
 # Decoding is work for a core and holds a batch in memory several times over.
 CONCURRENT_UPLOADS = 8
-
-
-def utc_now() -> dt.datetime:
-    """The time, unless a test brings its own."""
-    return dt.datetime.now(dt.UTC)
 
 
 def _nobody_to_wake(device_id: str) -> None:

@@ -12,11 +12,11 @@ from starlette.requests import HTTPConnection
 from server.accounts.caller import Caller
 from server.database import Database
 from server.errors import InvalidError
-from server.moments import Moment as Moment  # noqa: PLC0414  routes take it from here
+from server.moments import Clock as Clock  # noqa: PLC0414  routes take both from here
+from server.moments import Moment as Moment  # noqa: PLC0414
 from server.settings import Settings
 from server.store import BlobStore
 
-Clock = Callable[[], dt.datetime]
 Wake = Callable[[str], None]
 
 

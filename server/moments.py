@@ -1,11 +1,19 @@
-"""Times that come from outside."""
+"""The time, and times that come from outside."""
 
 from __future__ import annotations
 
 import datetime as dt
+from collections.abc import Callable
 from typing import Annotated
 
 from pydantic import AfterValidator, AwareDatetime
+
+Clock = Callable[[], dt.datetime]
+
+
+def utc_now() -> dt.datetime:
+    """The time, unless a test brings its own."""
+    return dt.datetime.now(dt.UTC)
 
 
 def _utc(moment: dt.datetime) -> dt.datetime:

@@ -25,6 +25,7 @@ from server.database import Database
 from server.language import catalogue
 from server.live.changes import announce
 from server.models import Alert, AlertChannel, AlertDelivery, AlertRule, DeliveryAttempt, Device, User, Vehicle, new_id
+from server.moments import Clock
 from server.settings import Settings
 
 LEASE = dt.timedelta(seconds=60)
@@ -34,7 +35,6 @@ BACKOFF_S = {EMERGENCY: (2.0, 120.0), ORDINARY: (10.0, 3600.0)}
 LOOK_S = 0.5
 EMERGENCY_SENDERS, ORDINARY_SENDERS = 2, 4
 """One receiver that takes its ten seconds each time does not hold up the others."""
-Clock = Callable[[], dt.datetime]
 
 log = structlog.stdlib.get_logger("scatola.alerts")
 

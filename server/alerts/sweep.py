@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import datetime as dt
 import threading
-from collections.abc import Callable
 
 import structlog
 from sqlalchemy import ColumnElement, Select, or_, select
@@ -13,11 +12,11 @@ from sqlalchemy.orm import Session, aliased
 from server.alerts.raising import Finding, Raised, announce_alert, raise_all, recover
 from server.database import Database
 from server.models import Alert, AlertRule, Device, Installation
+from server.moments import Clock
 
 EVERY_S = 15.0
 AT_ONCE = 500
 """Boxes of one rule in one transaction; the next sweep takes the rest."""
-Clock = Callable[[], dt.datetime]
 
 log = structlog.stdlib.get_logger("scatola.alerts")
 

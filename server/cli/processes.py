@@ -65,8 +65,8 @@ def analysis(args: argparse.Namespace) -> int:
     from server.database import Database
     from server.jobs.analyses import NICENESS, work_off
     from server.jobs.supervise import follow_parent
-    from server.jobs.worker import utc_now
     from server.logs import configure_logging
+    from server.moments import utc_now
     from server.store import open_store
 
     settings = Settings()

@@ -21,9 +21,9 @@ if TYPE_CHECKING:
 def remount(args: argparse.Namespace) -> int:
     """Ask for every mounting of another version, work them off, and say what this version changed."""
     set_numba_cache_dir()
-    from server.cli.reprocess import utc_now
     from server.database import Database
     from server.jobs.remount import ask, report
+    from server.moments import utc_now
 
     database = Database(Settings())
     try:
@@ -56,9 +56,9 @@ def _work_off(boxes: Sequence[str], jobs: int) -> None:
 def work(boxes: Sequence[str]) -> int:
     """Bring some boxes up to date; how many.  One that a worker has in hand is left to it."""
     set_numba_cache_dir()
-    from server.cli.reprocess import utc_now
     from server.database import Database
     from server.jobs.work import ContendedError, bring_up_to_date
+    from server.moments import utc_now
     from server.store import open_store
 
     settings = Settings()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import datetime as dt
 import json
 import multiprocessing
 import sys
@@ -22,11 +21,6 @@ if TYPE_CHECKING:
 POLL_S = 0.5
 
 
-def utc_now() -> dt.datetime:
-    """The time."""
-    return dt.datetime.now(dt.UTC)
-
-
 def reprocess(args: argparse.Namespace) -> int:
     """Begin a run over severe events, or resume or show one, and say what this version changed."""
     if args.mountings:
@@ -37,6 +31,7 @@ def reprocess(args: argparse.Namespace) -> int:
     from server.database import Database
     from server.jobs.rerun import begin_everywhere, report
     from server.models import Rerun
+    from server.moments import utc_now
 
     database = Database(Settings())
     try:
@@ -85,6 +80,7 @@ def work(runs: list[str], tell: Any = None) -> None:
     set_numba_cache_dir()
     from server.database import Database
     from server.jobs.rerun import Reruns, report
+    from server.moments import utc_now
     from server.store import open_store
 
     settings = Settings()

@@ -139,19 +139,25 @@ def list_requests(device_id: str, caller: Reader, database: DatabaseOf) -> list[
 
 @router.post("/{device_id}/requests", status_code=201, responses=described(409))
 def ask_for_window(
-    device_id: str, wanted: WindowIn, caller: Administrator, database: DatabaseOf, now: Now
+    request: Request, device_id: str, wanted: WindowIn, caller: Administrator, database: DatabaseOf, now: Now
 ) -> WindowOut:
     """Ask the box for a stretch of its clock; told with every answer until a batch answers it, for a week."""
     with database.transaction() as session:
         made = provisioning.ask_for_window(session, caller.organisation_id, device_id, wanted, now=now)
         session.flush()
+        detail = wanted.model_dump(mode="json")
+        note(session, request, caller, "box.asked", f"device={device_id}", now=now, detail=detail)
         found = queries.requests(session, caller.organisation_id, device_id)
-    return next(request for request in found if request.id == made)
+    return next(each for each in found if each.id == made)
 
 
 @router.delete("/{device_id}/requests/{request_id}", status_code=204)
-def cancel_request(device_id: str, request_id: str, caller: Administrator, database: DatabaseOf, now: Now) -> Response:
+def cancel_request(
+    request: Request, device_id: str, request_id: str, caller: Administrator, database: DatabaseOf, now: Now
+) -> Response:
     """Ask no longer."""
     with database.transaction() as session:
         provisioning.cancel_request(session, caller.organisation_id, device_id, request_id, now=now)
+        subject = f"device={device_id} request={request_id}"
+        note(session, request, caller, "box.not-asked", subject, now=now)
     return Response(status_code=204)

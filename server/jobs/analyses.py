@@ -29,6 +29,7 @@ from server.formats.columns import Columns
 from server.formats.drive import read_columns
 from server.jobs.supervise import SUPERVISED, scatola
 from server.models import Analysis, Batch, Boot, Device
+from server.moments import Clock
 from server.settings import Settings
 from server.store import BlobStore, raw_columns
 
@@ -36,7 +37,6 @@ if TYPE_CHECKING:
     from nav_core.typing import Floats
     from server.analyses.kinds import Kind
 
-Clock = Callable[[], dt.datetime]
 Command = Callable[[str, int], Sequence[str]]
 
 LOOK_S = 0.5

@@ -10,7 +10,7 @@ from __future__ import annotations
 import datetime as dt
 import json
 import threading
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Generator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
@@ -26,11 +26,10 @@ from server.database import Database
 from server.jobs.due import due_devices
 from server.jobs.failures import MAX_FAILURES, Job, dead, left_alone
 from server.jobs.run import Tally, run_job
+from server.moments import Clock
 from server.settings import Settings
 from server.store import open_store
 from server.tracing import Carried, carried, known
-
-Clock = Callable[[], dt.datetime]
 
 QUEUE = "devices"
 BURSTS = "bursts"

@@ -105,8 +105,11 @@ def count(session: Session, *, only_dead: bool = False) -> int:
     return session.scalar(query.where(JobFailure.dead_at.is_not(None)) if only_dead else query) or 0
 
 
-def failing(session: Session, *, only_dead: bool = False, limit: int | None = None) -> list[Failing]:
-    """Failing boxes, the longest dead first, and how many batches of each wait."""
+def failing(session: Session, *, only_dead: bool = False, page: tuple[str, int] | None = None) -> list[Failing]:
+    """Failing boxes, the longest dead first, and how many batches of each wait.
+
+    `page`: by id instead, so many after this one.
+    """
     waiting = (
         select(func.count())
         .where(Batch.device_id == JobFailure.device_id, Batch.processed_at.is_(None))
@@ -116,6 +119,9 @@ def failing(session: Session, *, only_dead: bool = False, limit: int | None = No
     query = select(JobFailure, Device.name, waiting).join(Device, Device.id == JobFailure.device_id)
     if only_dead:
         query = query.where(JobFailure.dead_at.is_not(None))
-    order = JobFailure.dead_at.is_(None), JobFailure.first_at, JobFailure.device_id
-    rows = session.execute(query.order_by(*order).limit(limit))
-    return [Failing(failure, name, count) for failure, name, count in rows]
+    if page is None:
+        query = query.order_by(JobFailure.dead_at.is_(None), JobFailure.first_at, JobFailure.device_id)
+    else:
+        after, limit = page
+        query = query.where(JobFailure.device_id > after).order_by(JobFailure.device_id).limit(limit)
+    return [Failing(failure, name, count) for failure, name, count in session.execute(query)]

@@ -26,12 +26,12 @@ from server.errors import NotFoundError
 from server.events.queries import severe
 from server.logs import redact
 from server.models import Event, Organisation, Rerun, RerunItem
+from server.moments import Clock
 from server.store import BlobStore
 
 if TYPE_CHECKING:
     from server.jobs.reprocess import Again
 
-Clock = Callable[[], dt.datetime]
 
 LEASE = dt.timedelta(minutes=10)
 ATTEMPTS = 5

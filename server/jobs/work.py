@@ -9,7 +9,6 @@ from __future__ import annotations
 import datetime as dt
 import math
 from collections import defaultdict
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -40,10 +39,9 @@ from server.jobs.stretch import Piece
 from server.jobs.trips import StoredTrips, Trips, has_rested
 from server.live.changes import announce
 from server.models import Batch, BatchDigest, Boot, Device, DeviceState, MountingRevision, TrackPoint, Trip
+from server.moments import Clock
 from server.store import BlobStore, raw_columns, raw_content
 from server.trips.track import REST_S
-
-Clock = Callable[[], dt.datetime]
 
 BATCHES = 64
 """Batches of one round: bounds its memory and how long others wait for their turn."""

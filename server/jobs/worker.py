@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import datetime as dt
 import json
 import os
 import select
 import signal
 import threading
 import uuid
-from collections.abc import Callable
 from types import FrameType
 
 import structlog
@@ -23,11 +21,10 @@ from server.jobs.rerun import Reruns
 from server.jobs.run import FIGURES, Tally, run_job
 from server.jobs.supervise import end_with_parent, parent_fd
 from server.migrations import serves
+from server.moments import Clock, utc_now
 from server.settings import Settings, set_numba_cache_dir
 from server.store import COLLECT_AGE, BlobStore, collect, open_store
 from server.tracing import Carried, known
-
-Clock = Callable[[], dt.datetime]
 
 LOOK_S = 0.25
 """So often the embedded worker looks by itself."""
@@ -41,11 +38,6 @@ STOP_TELLING_S = 1.0
 """A message that is under way when the worker stops is sent again when its lease runs out."""
 
 log = structlog.stdlib.get_logger("scatola.worker")
-
-
-def utc_now() -> dt.datetime:
-    """The time."""
-    return dt.datetime.now(dt.UTC)
 
 
 def run(settings: Settings) -> None:

@@ -40,14 +40,16 @@ def list_failures(
     caller: JobManager,
     database: DatabaseOf,
     dead: Annotated[bool, Query(description="dead letters alone")] = False,
+    after: Annotated[str, Query(max_length=32, description="`next` of the page before")] = "",
     limit: Annotated[int, Query(ge=1, le=500)] = 200,
 ) -> FailureList:
-    """Boxes whose work keeps failing, dead letters first; their batches stay due and are not lost."""
+    """Boxes whose work keeps failing, by id, a page at a time; their batches stay due and are not lost."""
     del caller
     with database.reading() as session:
-        found = failures.failing(session, only_dead=dead, limit=limit)
+        found = failures.failing(session, only_dead=dead, page=(after, limit + 1))
         total = failures.count(session, only_dead=dead)
-        return FailureList(items=[failure_out(each) for each in found], total=total)
+        items = [failure_out(each) for each in found[:limit]]
+    return FailureList(items=items, total=total, next=items[-1].device_id if len(found) > limit else None)
 
 
 @router.post("/jobs/failures/replay")

@@ -30,6 +30,7 @@ class FailureOut(BaseModel):
 class FailureList(BaseModel):
     items: list[FailureOut]
     total: int = Field(description="how many there are, shown or not")
+    next: str | None = Field(description="`after` of the next page")
 
 
 class ReplayOut(BaseModel):

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
+
 import httpx
 import pytest
 import sqlalchemy as sa
 
+import server
 from server.accounts import service
 from server.accounts.secrets import hash_of
 from server.accounts.service import ensure_organisation, first_sign_in, new_sign_in_code
 from server.app import create_app
 from server.models import SignInCode, WebSession
+from server.pages.audit_words import DEEDS
 
 OPEN = ("/healthz", "/readyz", "/metrics", "/openapi.json", "/docs", "/login", "/static/css/none.css")
 API = (
@@ -273,3 +278,10 @@ def test_people_get_error_pages_and_programs_problems(browser):
     assert browser.get("/api/v1/vehicles/none", headers={"Accept": "text/html"}).json()["code"] == "not_found"
     refused = browser.post("/logout", headers={"Accept": "text/html", "X-CSRF-Token": "wrong"})
     assert (refused.status_code, "Not allowed" in refused.text) == (403, True)
+
+
+def test_every_deed_of_the_audit_log_has_words():
+    source = "".join(path.read_text() for path in Path(server.__file__).parent.rglob("*.py"))
+    deeds = set(re.findall(r'\b(?:note|record)\([^"]*"([a-z_]+\.[a-z_-]+)"', source))
+    assert len(deeds) > 20
+    assert deeds <= DEEDS.keys()

@@ -186,6 +186,15 @@ def test_a_time_without_a_zone_is_refused(admin, make_device):
 
 
 @pytest.mark.both_databases
+def test_changes_of_a_vehicle_stand_in_the_audit_log(admin, vehicle):
+    assert admin.patch(f"/api/v1/vehicles/{vehicle}", json={"name": "Van 9"}).status_code == 200
+    assert admin.delete(f"/api/v1/vehicles/{vehicle}").status_code == 204
+    log = admin.get("/api/v1/audit").json()["items"]
+    assert [entry["action"] for entry in log][:3] == ["vehicle.removed", "vehicle.changed", "vehicle.added"]
+    assert {entry["subject"] for entry in log[:3]} == {f"vehicle={vehicle}"}
+    assert log[1]["detail"] == {"name": "Van 9"}
+
+
 def test_a_box_is_swapped_between_vehicles(admin, make_device, vehicle, database, clock):
     other = admin.post("/api/v1/vehicles", json={"name": "Van 2"}).json()["id"]
     device_id, _ = make_device(vehicle_id=vehicle)

@@ -325,7 +325,7 @@ def test_a_dead_letter_is_shown_and_replayed(app, admin, world, batches, send, c
     assert admin.post("/api/v1/jobs/failures/replay").json() == {"replayed": [world.device_id]}
     until(lambda: world.unprocessed() == 0)
     until(lambda: queues.depths()[xq_name(queue)] == 0)
-    assert admin.get("/api/v1/jobs/failures").json() == {"items": [], "total": 0}
+    assert admin.get("/api/v1/jobs/failures").json() == {"items": [], "total": 0, "next": None}
     assert admin.post(f"/api/v1/jobs/failures/{world.device_id}/replay").status_code == 404
     actions = [entry["action"] for entry in admin.get("/api/v1/audit").json()["items"]]
     assert "jobs.replay" in actions

@@ -186,6 +186,16 @@ def test_the_client_takes_over_the_services_time(client, make_device, clock):
 # --- what a box is told
 
 
+def test_what_a_box_is_asked_stands_in_the_audit_log(admin, make_device):
+    device_id, _ = make_device()
+    path = f"/api/v1/devices/{device_id}/requests"
+    asked = admin.post(path, json={"boot": "a", "t_first_s": 10.0, "t_last_s": 20.0}).json()
+    assert admin.delete(f"{path}/{asked['id']}").status_code == 204
+    log = admin.get("/api/v1/audit").json()["items"]
+    assert [entry["action"] for entry in log][:2] == ["box.not-asked", "box.asked"]
+    assert log[0]["subject"] == f"device={device_id} request={asked['id']}"
+
+
 def test_a_configuration_is_told_until_the_box_has_it(client, admin, make_device):
     device_id, token = make_device()
     assert send(client, token).json()["requests"] == []

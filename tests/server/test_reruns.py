@@ -18,7 +18,7 @@ from server.events.result import event_json
 from server.jobs import rerun
 from server.jobs.reprocess import Again, figures
 from server.jobs.rerun import ATTEMPTS, LEASE, Reruns, begin, claim, finish, report
-from server.models import Device, Event, Rerun, RerunItem
+from server.models import Device, Event, JobFailure, Rerun, RerunItem
 from server.store import open_store
 
 EVENTS = 12
@@ -235,3 +235,25 @@ def test_processes_share_a_run(world, events, settings, monkeypatch, capsys):
     told = json.loads(capsys.readouterr().out)
     assert told["reports"][0]["outcomes"] == {"failed": 2}
     assert open_store(settings) is not None
+
+
+def test_failing_boxes_a_page_at_a_time(admin, make_device, database, clock):
+    boxes = sorted(make_device()[0] for _ in range(5))
+    with database.transaction() as session:
+        for k, device_id in enumerate(boxes):
+            dead_at = clock() if k % 2 else None
+            session.add(
+                JobFailure(
+                    device_id=device_id, failures=3, first_at=clock(), last_at=clock(), dead_at=dead_at, error="x",
+                    queue="", job_id="",
+                )
+            )  # fmt: skip
+    found, after = [], ""
+    while after is not None:
+        page = admin.get("/api/v1/jobs/failures", params={"after": after, "limit": 2}).json()
+        assert page["total"] == 5
+        found += [each["device_id"] for each in page["items"]]
+        after = page["next"]
+    assert found == boxes
+    dead = admin.get("/api/v1/jobs/failures", params={"dead": True}).json()
+    assert ([each["device_id"] for each in dead["items"]], dead["next"]) == (boxes[1::2], None)
