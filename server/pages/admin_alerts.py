@@ -22,6 +22,7 @@ from server.models import AlertChannel, AlertDelivery, AlertRule, Vehicle
 from server.pages import queries as page_queries
 from server.pages.alerts import CONDITIONS
 from server.pages.forms import Typed, back, checked
+from server.pages.frame import measures_of
 from server.pages.routes import answer
 from server.wording import marked
 
@@ -30,7 +31,7 @@ router = APIRouter(prefix="/admin/alerts", include_in_schema=False, default_resp
 RuleKind = Literal["crash", "moved", "silent", "calibration", "harsh", "geofence", "theft"]
 ChannelKind = Literal["email", "webhook"]
 CHANNELS: dict[ChannelKind, str] = {"email": marked("E-mail"), "webhook": marked("Webhook")}
-_NUMBERS = ("min_delta_v_kmh", "min_angle_deg", "hours", "count", "margin_m")
+_NUMBERS = ("min_angle_deg", "hours", "count", "margin_m")
 MINUTE_S = 60.0
 
 
@@ -79,14 +80,21 @@ def new_rule(request: Request, caller: Administrator, database: DatabaseOf, kind
 def one_rule(request: Request, rule_id: str, caller: Administrator, database: DatabaseOf) -> HTMLResponse:
     """The form of a rule that there is."""
     with database.reading() as session:
-        typed = _as_typed(queries.rule_of(session, caller.organisation_id, rule_id))
+        typed = _as_typed(queries.rule_of(session, caller.organisation_id, rule_id), _per_kmh(request))
     return _rule(request, caller, database, rule_id, typed)
 
 
-def _as_typed(row: AlertRule) -> dict[str, list[str]]:
+def _per_kmh(request: Request) -> float:
+    """From km/h to the unit in which the reader types speeds."""
+    return measures_of(request).per_mps / 3.6
+
+
+def _as_typed(row: AlertRule, per_kmh: float) -> dict[str, list[str]]:
     """A rule as its form would send it."""
     parameters = row.parameters
     typed = {name: [f"{parameters[name]:g}"] for name in _NUMBERS if name in parameters}
+    if "min_delta_v_kmh" in parameters:
+        typed["min_delta_v"] = [f"{parameters['min_delta_v_kmh'] * per_kmh:.6g}"]
     typed |= {name: [str(parameters[name])] for name in ("per", "on") if name in parameters}
     fence: dict[str, Any] = parameters.get("fence") or {}
     if fence.get("shape") == "circle":
@@ -156,7 +164,7 @@ def _set_rule(
     if kind not in CONDITIONS:
         raise InvalidError(f"There is no rule of the kind {kind[:20]!r}")
     try:
-        wanted: RuleIn = checked(RuleIn, **_fields(typed))
+        wanted: RuleIn = checked(RuleIn, **_fields(typed, _per_kmh(request)))
         with database.transaction() as session:
             made = service.set_rule(session, caller.organisation_id, rule_id, wanted, now=now)
             row = queries.rule_of(session, caller.organisation_id, made)
@@ -166,12 +174,14 @@ def _set_rule(
     return back("/admin/alerts#rules")
 
 
-def _fields(typed: dict[str, list[str]]) -> dict[str, Any]:
+def _fields(typed: dict[str, list[str]], per_kmh: float) -> dict[str, Any]:
     """A rule as the API takes it, from what was typed; empty fields keep their defaults."""
     one = {name: values[0].strip() for name, values in typed.items() if values and values[0].strip()}
     condition: dict[str, Any] = {"kind": one["kind"]}
     condition |= {name: _decimal(one[name]) for name in _NUMBERS if name in one}
     condition |= {name: one[name] for name in ("per", "on") if name in one}
+    if "min_delta_v" in one:
+        condition["min_delta_v_kmh"] = _decimal(one["min_delta_v"]) / per_kmh
     if condition["kind"] == "geofence":
         condition["fence"] = _fence(one)
     cooldown = _decimal(one["cooldown"]) if "cooldown" in one else None

@@ -25,6 +25,8 @@ from server.models import (
     Trip,
     Vehicle,
 )
+from server.pages.admin_alerts import _as_typed, _fields
+from server.pages.frame import MEASURES
 
 __all__ = ["tenants"]
 
@@ -116,7 +118,7 @@ def test_a_box_from_its_making_to_its_end(admin, tenants):
 @pytest.mark.parametrize(
     ("fields", "parameters"),
     [
-        ({"kind": "crash", "min_delta_v_kmh": "12,5"}, {"min_delta_v_kmh": 12.5}),
+        ({"kind": "crash", "min_delta_v": "12,5"}, {"min_delta_v_kmh": 12.5}),
         ({"kind": "silent", "hours": "6"}, {"hours": 6.0}),
         ({"kind": "harsh", "count": "3", "per": "100km"}, {"count": 3.0, "per": "100km"}),
         (
@@ -329,6 +331,16 @@ def test_speeds_of_an_event_in_the_readers_unit(app, serve, tenants, clock):
     assert "mph" in page
     assert "km/h" not in words
     assert "km/h" not in listed
+
+
+def test_a_rule_is_typed_in_the_readers_unit():
+    per_kmh = MEASURES["imperial"].per_mps / 3.6
+    wanted = _fields({"kind": ["crash"], "name": ["x"], "min_delta_v": ["12,5"]}, per_kmh)
+    assert wanted["condition"]["min_delta_v_kmh"] == pytest.approx(12.5 * 1.609344)
+    row = AlertRule(
+        kind="crash", name="x", enabled=True, channels=[], cooldown_s=60.0, parameters=wanted["condition"]
+    )  # fmt: skip
+    assert _as_typed(row, per_kmh)["min_delta_v"] == ["12.5"]
 
 
 # --- trips
