@@ -12,7 +12,7 @@ from scipy.signal import lfilter
 
 from nav_core.mounting.model import Noise, turned
 from nav_core.mounting.refine import HUBER, Fit, weigh
-from nav_core.mounting.stretch import Record, at
+from nav_core.mounting.stretch import Record, at, smoothed
 from nav_core.typing import Floats
 
 LADDER = (0.4, 0.7, 1.0, 1.4, 2.0, 2.8)
@@ -20,6 +20,9 @@ LADDER = (0.4, 0.7, 1.0, 1.4, 2.0, 2.8)
 
 CLEAR = 30.0
 """Twice the log likelihood that smoothing must gain; of a receiver that does not smooth it loses."""
+
+CALM = 0.4
+"""Half width of the mean that takes vibration away as a low-pass does, s."""
 
 EARLY = 0.3
 """By how much the lag that smoothing looks like may fall short of its time constant, s."""
@@ -117,17 +120,37 @@ def smoothing_time(record: Record, fit: Fit, noise: Noise, present: float = 0.0)
     """
     late = fit.speed_lag + present, fit.course_lag + present
 
-    def cost(time: float) -> float:
+    def cost(time: float, seen: Record | None = None) -> float:
         lags = max(late[0] - time, 0.0), max(late[1] - time, 0.0)
-        seen = as_received(record, time, fit.R_va, lags[0])
+        seen = seen or as_received(record, time, fit.R_va, lags[0])
         evidence = weigh(seen, fit.R_va, lags, noise, fit.p, HUBER)
         # Not by the climb: any low-pass takes heave and vibration away.
         return float((evidence.misfit(fit.p) + evidence.log_det)[:, [SPEED, COURSE]].sum())
 
-    best, found = cost(0.0) - CLEAR, 0.0
+    tried, costs = [0.0], [cost(0.0) - CLEAR]
     for time in LADDER:
-        now = cost(time) if time < late[0] + EARLY else np.inf
-        if now >= best:
+        if time > late[0] + EARLY:
             break
-        best, found = now, time
-    return found
+        tried.append(time)
+        costs.append(cost(time))
+        if costs[-1] >= costs[-2]:
+            break
+    best = int(np.argmin(costs))
+    if best == 0 or costs[best] > cost(0.0, _calmed(record)) - CLEAR:
+        return 0.0
+    if best == len(tried) - 1:
+        return tried[best]
+    return _lowest(np.array(tried[best - 1 : best + 2]), np.array(costs[best - 1 : best + 2]))
+
+
+def _calmed(record: Record) -> Record:
+    """Specific force without its quickest part and without delay: what that gains, any low-pass does."""
+    mean = [smoothed(record, record.f[:, axis], CALM) for axis in range(3)]
+    return record._replace(f=np.column_stack(mean))
+
+
+def _lowest(at: Floats, values: Floats) -> float:
+    """Where the parabola through three points is lowest, the middle one being the lowest of them."""
+    left, right = (values[1] - values[0]) / (at[1] - at[0]), (values[2] - values[1]) / (at[2] - at[1])
+    middle = 0.5 * (at[:-1] + at[1:])
+    return float(middle[0] - left * (middle[1] - middle[0]) / (right - left))

@@ -30,7 +30,8 @@ class Solution(NamedTuple):
     """Time constant of the receiver's low-pass, s; 0 for none."""
 
 
-_ROUNDS = 3
+_ROUNDS = 4
+_SETTLED = 0.05
 
 
 def solve(record: Record, noise: Noise) -> Solution:
@@ -53,11 +54,13 @@ def solve(record: Record, noise: Noise) -> Solution:
     seen, smoothing = part, 0.0
     for _ in range(_ROUNDS):
         time = smoothing_time(part, rough, noise, smoothing)
-        if time == smoothing:
+        if abs(time - smoothing) < _SETTLED:
             break
         lag = max(rough.speed_lag + smoothing - time, 0.0)
         seen = as_received(part, time, rough.R_va, lag)
-        better = first._replace(R_va=rough.R_va, speed_lag=lag, course_lag=max(rough.course_lag + smoothing - time, 0.0))
+        better = first._replace(
+            R_va=rough.R_va, speed_lag=lag, course_lag=max(rough.course_lag + smoothing - time, 0.0)
+        )
         rough, smoothing = refine(seen, better, noise, rough.p), time
     lags = (rough.speed_lag, rough.course_lag)
     suited = adapted(seen, rough.R_va, lags, noise, rough.p, HUBER)

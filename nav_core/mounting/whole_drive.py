@@ -203,7 +203,7 @@ def _turned_at(before: Record, after: Record, spoiled: tuple[Blow, ...]) -> floa
 
 
 def _known_lags(solution: Solution) -> tuple[float | None, float | None]:
-    """How late slow changes of speed and course come, where the drive tells; a straight road says nothing of the course's."""
+    """How late slow changes of speed and course come, if the drive tells; a straight road is silent on the course's."""
     fit = solution.fit
     _, covariance = fit.solve(fit.gram.sum(0))
     sigma = np.sqrt(np.diag(covariance))
