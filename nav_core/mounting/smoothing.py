@@ -87,11 +87,12 @@ def as_received(record: Record, time: float, R_va: Floats, lag: float) -> Record
     frame = turned(record, R_va, lag + time)
     speed = np.interp(record.t + lag + time, fixes.t, fixes.speed)
     when = fixes.t - lag
-    for _ in range(2):
-        heading = np.cumsum(frame.w * record.step)
-        vector = low_passed(record, speed * np.exp(1j * heading), time)
-        lost = low_passed(record, speed, time) - np.abs(vector)
-        speed = speed + lost
+    heading = np.cumsum(frame.w * record.step)
+    # What the receiver says is too short already: its length is made up once, then weighed.
+    short = low_passed(record, speed, time) - np.abs(low_passed(record, speed * np.exp(1j * heading), time))
+    full = speed + short
+    vector = low_passed(record, full * np.exp(1j * heading), time)
+    lost = low_passed(record, full, time) - np.abs(vector)
     ahead = np.angle(vector * np.exp(-1j * low_passed(record, heading, time)))
     corrected = fixes._replace(
         speed=fixes.speed + at(record, when, lost), course=fixes.course - at(record, when, ahead)
