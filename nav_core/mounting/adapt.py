@@ -49,7 +49,7 @@ def adapted(record: Record, R_va: Floats, lags: tuple[float, float], noise: Nois
         Of GPS speed and course, s.
     noise : Noise
         Where to begin.
-    p : ndarray, shape (13,)
+    p : ndarray, shape (14,)
     limit : float
         Robust limit, sigmas.
 

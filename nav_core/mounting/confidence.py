@@ -15,9 +15,8 @@ from nav_core.mounting.model import TURN
 from nav_core.mounting.refine import BLOCK, Fit
 from nav_core.typing import Floats
 
-FLOOR = np.radians(0.06)
-"""What a box's triad and a car's springs do that the model does not know, rad per axis: springs that give half a
-degree per g less in braking than in accelerating alone make 0.05° of pitch."""
+FLOOR = np.radians(0.04)
+"""What a box's triad and a car's body do that the model does not know, rad per axis: axes square to 0.7 mrad."""
 
 CONVERGED = np.radians(2.0)
 """Limit of each sigma for "converged" and "ready", rad."""

@@ -41,7 +41,7 @@ class TripEvidence:
         Where `gram` was linearised; its turn is relative to this.
     speed_lag, course_lag : float
         The same for the lags, s.
-    gram : ndarray, shape (14, 14)
+    gram : ndarray, shape (15, 15)
         Products of the whitened innovations and their derivatives, without any prior, less what the
         trip's own doubts (innovations, disagreement of its stretches) take from them.
     duration : float

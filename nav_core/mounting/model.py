@@ -7,11 +7,12 @@ never differentiated, its noise stays in its place, and slow fixes lose nothing.
 
 Signs, for small road and body angles (V-frame; slope s uphill positive, climb downward positive)::
 
-    f_x = v' + g s + kappa_x v' - l_x w²
+    f_x = v' + g s + kappa_x v' + kappa_u |v'| - l_x w²
     f_y = v w + g bank + kappa_y v w + l_x w'
-    f_z = -g + g s²/2 + climb' + v' s + f_y bank + (kappa_x v'² + kappa_y f_y²) / g
+    f_z = -g + g s²/2 + climb' + v' s + f_y bank + (kappa_x v'² + kappa_u v' |v'| + kappa_y f_y²) / g
     course = heading + l_x w / v
 
+`kappa_u` is what springs give more in accelerating, and less in braking, than in the mean of both.
 `v` is the speed of the box; ``l_x`` its place ahead of the point that does not slip.
 """
 
@@ -31,9 +32,9 @@ MILLI_G = 1e-3 * GRAVITY
 # Places of the unknowns in p.
 TURN = slice(0, 3)
 BIAS = slice(3, 6)
-PITCH_GAIN, ROLL_GAIN, LEVER_X, ANTENNA_X, ANTENNA_Y, SPEED_LAG, COURSE_LAG = range(6, 13)
-UNKNOWNS = 13
-PITCH_UNKNOWNS = np.array([0, 1, 2, 3, 5, PITCH_GAIN, ROLL_GAIN, LEVER_X, ANTENNA_Y, SPEED_LAG])
+PITCH_GAIN, ROLL_GAIN, LEVER_X, ANTENNA_X, ANTENNA_Y, SPEED_LAG, COURSE_LAG, UNLIKE_GAIN = range(6, 14)
+UNKNOWNS = 14
+PITCH_UNKNOWNS = np.array([0, 1, 2, 3, 5, PITCH_GAIN, ROLL_GAIN, LEVER_X, ANTENNA_Y, SPEED_LAG, UNLIKE_GAIN])
 YAW_UNKNOWNS = np.array([0, 2, 4, ROLL_GAIN, LEVER_X, ANTENNA_X, COURSE_LAG])
 
 
@@ -84,6 +85,9 @@ class Noise:
     pitch_gain: tuple[float, float] = (0.04, 0.02)
     roll_gain: tuple[float, float] = (0.07, 0.03)
     """Body pitch and roll per g, as a share of specific force: mean and deviation."""
+    unlike_gain: float = np.radians(0.5)
+    """Deviation of the half difference of the pitch gains in accelerating and in braking: anti-squat and anti-dive of
+    an axle are two different things; expected is none."""
     lever: tuple[float, float] = (1.0, 0.8)
     """How far the box sits ahead of the point that does not slip: mean and deviation, m."""
     antenna: float = 0.3
@@ -243,15 +247,16 @@ def prior(noise: Noise, lags: tuple[float, float]) -> tuple[Floats, Floats]:
 
     Returns
     -------
-    information : ndarray, shape (13,)
+    information : ndarray, shape (14,)
         One over the variances of `p`; 0 for the turn.
-    mean : ndarray, shape (13,)
+    mean : ndarray, shape (14,)
         Of `p`.
     """
     deviation = np.full(UNKNOWNS, np.inf)
     mean = np.zeros(UNKNOWNS)
     deviation[BIAS] = noise.bias
     deviation[[PITCH_GAIN, ROLL_GAIN]] = noise.pitch_gain[1], noise.roll_gain[1]
+    deviation[UNLIKE_GAIN] = noise.unlike_gain
     deviation[[LEVER_X, ANTENNA_X, ANTENNA_Y]] = noise.lever[1], noise.antenna, noise.antenna
     deviation[[SPEED_LAG, COURSE_LAG]] = noise.lag[1]
     mean[[SPEED_LAG, COURSE_LAG]] = noise.lag[0] - lags[0], noise.lag[0] - lags[1]

@@ -19,6 +19,7 @@ from nav_core.mounting.confidence import FLOOR, assess
 from nav_core.mounting.model import MILLI_G, TURN, Noise
 from nav_core.mounting.quality import excitation, fits_a_car
 from nav_core.mounting.refine import BLOCK, HUBER, Fit, weigh
+from nav_core.mounting.smoothing import as_received
 from nav_core.mounting.solution import Solution, between, solve
 from nav_core.mounting.stretch import Record
 from nav_core.rotation import error_between
@@ -157,7 +158,7 @@ def pieces_of(record: Record, noise: Noise, *, depth: int = MAX_DEPTH) -> list[P
         In order of time; one where the box stayed put.
     """
     solution = solve(record, noise)
-    whole = Piece(record, solution)
+    whole = Piece(solution.record, solution)
     if depth == 0:
         return [whole]
     # The rough fit holds the noise of an ordinary drive, but of a long one it knows an excerpt only.
@@ -208,7 +209,7 @@ def _confirmed(record: Record, when: float, noise: Noise) -> tuple[Record, Recor
         if not _differ(sides, before, after):
             break
         confirmed = sides
-        sharper = _moment(record, when, before.fit, after.fit, noise)
+        sharper = _moment(record, when, before, after.fit, noise)
         if abs(sharper - when) < BLOCK:
             break
         when = sharper
@@ -253,7 +254,7 @@ def _tilt_seen(sides: tuple[Record, Record]) -> float:
     return _angle(before, after)
 
 
-def _moment(record: Record, when: float, before: Fit, after: Fit, noise: Noise) -> float:
+def _moment(record: Record, when: float, known: Solution, after: Fit, noise: Noise) -> float:
     """Box time of the move, near a guess, that makes the record most likely, given both mountings.
 
     The sides differ in biases, gains and lags as well, which says nothing of the moment: the turn alone
@@ -263,6 +264,8 @@ def _moment(record: Record, when: float, before: Fit, after: Fit, noise: Noise) 
     near = between(record, when - NEIGHBOURHOOD, when + NEIGHBOURHOOD)
     if near.fixes.t.size < 2:
         return when  # in a long tunnel: no fix is near enough to tell
+    before = known.fit
+    near = as_received(near, known.smoothing, before.R_va, before.speed_lag)
     turn = Rotation.from_matrix(after.R_va @ before.R_va.T).as_rotvec()
     small = float(np.linalg.norm(turn)) < LINEAR
     lags = (before.speed_lag, before.course_lag)

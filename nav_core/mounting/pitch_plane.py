@@ -17,6 +17,7 @@ from nav_core.mounting.model import (
     ROLL_GAIN,
     SPEED_LAG,
     UNKNOWNS,
+    UNLIKE_GAIN,
     Noise,
     first_order,
     per_step,
@@ -186,29 +187,31 @@ def pitch_plane(record: Record, R_va: Floats, lag: float, noise: Noise) -> Chann
     fixes = record.fixes
     acceleration = gps_rate(fixes.t, fixes.speed)
     pushed = np.interp(record.t + lag, fixes.t, acceleration)
-    quadratic = np.column_stack([pushed**2, frame.lateral**2]) / GRAVITY
+    quadratic = np.column_stack([pushed**2, frame.lateral**2, pushed * np.abs(pushed)]) / GRAVITY
     slope = road_slope(record, (frame.f[:, 0] - pushed) / GRAVITY)
     felt = np.column_stack([frame.f, quadratic, frame.w**2, 0.5 * GRAVITY * slope**2, record.density])
     total = per_step(at(record, steps.when, integrate(record, felt)), steps.broken)
     U = np.zeros((steps.when.size, 2, c))
     keep = 1.0 - noise.pitch_gain[0]
-    U[:, 0, 0] = keep * total[:, 0] + noise.lever[0] * total[:, 5]
+    U[:, 0, 0] = keep * total[:, 0] + noise.lever[0] * total[:, 6]
     U[:, 0, 1 + 1], U[:, 0, 1 + 2] = keep * total[:, 2], -keep * total[:, 1]
     U[:, 0, 1 + 3] = -steps.dt
     change = clear_rate(fixes.t, fixes.speed, noise.speed_white)
     U[:, 0, 1 + PITCH_GAIN] = -change * steps.dt
-    U[:, 0, 1 + LEVER_X] = total[:, 5]
+    U[:, 0, 1 + UNLIKE_GAIN] = -np.abs(change) * steps.dt
+    U[:, 0, 1 + LEVER_X] = total[:, 6]
     U[:, 1, 0] = (
         total[:, 2]
         + GRAVITY * steps.dt
         - noise.pitch_gain[0] * total[:, 3]
         - noise.roll_gain[0] * total[:, 4]
-        - total[:, 6]
+        - total[:, 7]
     )
     U[:, 1, 1 + 0], U[:, 1, 1 + 1] = total[:, 1], -total[:, 0]
     U[:, 1, 1 + 5] = -steps.dt
     U[:, 1, 1 + PITCH_GAIN], U[:, 1, 1 + ROLL_GAIN] = -total[:, 3], -total[:, 4]
-    P0, Phi, Q, H, r = pitch_system(record, steps, noise, total[:, 0], total[:, 1], total[:, 7])
+    U[:, 1, 1 + UNLIKE_GAIN] = -total[:, 5]
+    P0, Phi, Q, H, r = pitch_system(record, steps, noise, total[:, 0], total[:, 1], total[:, 8])
     Y = np.zeros((steps.when.size, 3, c))
     Y[:, 0, 0], Y[:, 1, 0] = fixes.speed, np.nan_to_num(fixes.alt)
     Y[:, 0, 1 + SPEED_LAG] = change
@@ -217,6 +220,6 @@ def pitch_plane(record: Record, R_va: Floats, lag: float, noise: Noise) -> Chann
     x0[V] = fixes.speed[0]
     x0[HEIGHT] = Y[0, 1, 0]
     columns = np.concatenate([[0], 1 + PITCH_UNKNOWNS])
-    grain = np.repeat((total[:, 7] * rough_share(steps.dt))[:, None], 2, axis=1)
+    grain = np.repeat((total[:, 8] * rough_share(steps.dt))[:, None], 2, axis=1)
     inputs, values = U[:, :, columns], Y[:, :, columns]
     return Channel(x0, P0, Phi, Q, np.array([V, CLIMB]), inputs, grain, H, values, r, np.zeros(3), PITCH_UNKNOWNS)

@@ -33,19 +33,19 @@ class Fit:
     Attributes
     ----------
     R_va : ndarray, shape (3, 3)
-    p : ndarray, shape (13,)
+    p : ndarray, shape (14,)
         The other unknowns where they came to rest (turn and lag corrections are zero).
     speed_lag, course_lag : float
         s.
     noise : Noise
         What the record was weighed with.
-    gram : ndarray, shape (blocks, 14, 14)
+    gram : ndarray, shape (blocks, 15, 15)
         Whitened products at the solution, both planes together, less what sensor noise adds to them.
     misfit, count : ndarray, shape (blocks, 4)
         Squared whitened innovations and their number: speed, height, climb, course.
-    prior : ndarray, shape (13,)
+    prior : ndarray, shape (14,)
         Diagonal information of the unknowns before the drive.
-    prior_pull : ndarray, shape (13,)
+    prior_pull : ndarray, shape (14,)
         Prior information times prior mean.
     begin : float
         Box time at which the first stretch begins, s.
@@ -64,18 +64,18 @@ class Fit:
     begin: float
 
     def solve(self, gram: Floats) -> tuple[Floats, Floats]:
-        """Unknowns and covariance from some of the evidence, shapes (..., 13) and (..., 13, 13).
+        """Unknowns and covariance from some of the evidence, shapes (..., 14) and (..., 14, 14).
 
         Parameters
         ----------
-        gram : ndarray, shape (..., 14, 14)
+        gram : ndarray, shape (..., 15, 15)
             Sum of some of `gram`.
 
         Returns
         -------
-        solution : ndarray, shape (..., 13)
+        solution : ndarray, shape (..., 14)
             In the units of `p`.
-        covariance : ndarray, shape (..., 13, 13)
+        covariance : ndarray, shape (..., 14, 14)
             Of it.
         """
         information = gram[..., 1:, 1:] + np.diag(self.prior + 1e-6)
@@ -107,7 +107,7 @@ def weigh(
         Of GPS speed and course, s.
     noise : Noise
         What to expect.
-    p : ndarray, shape (13,)
+    p : ndarray, shape (14,)
         The unknowns, for the innovations that `limit` judges.
     limit : float
         Sigmas beyond which an innovation is weighted down.
@@ -144,7 +144,7 @@ def likely_bias(noise: Noise, gram: Floats, lags: tuple[float, float]) -> Noise:
     ----------
     noise : Noise
         Its `bias` is that of a calibrated box.
-    gram : ndarray, shape (14, 14)
+    gram : ndarray, shape (15, 15)
         All evidence of the drive, without prior.
     lags : tuple of float
         Where it was linearised, s.
@@ -177,7 +177,7 @@ LEAST_SHARE = 0.05
 
 
 def _informative(record: Record, R_va: Floats, lags: tuple[float, float], noise: Noise, gram: Floats) -> Floats:
-    """Root of the share of each column's evidence that is signal, shape (14,); see `echo`.
+    """Root of the share of each column's evidence that is signal, shape (15,); see `echo`.
 
     A turn about x acts through the lateral force on the climb and the vertical one on the course; about
     y through the vertical one on the speed and the longitudinal one on the climb; about z through the
@@ -200,7 +200,7 @@ def refine(record: Record, start: Start, noise: Noise, p: Floats | None = None) 
     start : Start
         Within some tens of degrees of the truth.
     noise : Noise
-    p : ndarray, shape (13,), optional
+    p : ndarray, shape (14,), optional
         Where the unknowns are likely to end; given, outliers are told from the first pass on.
 
     Returns

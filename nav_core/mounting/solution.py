@@ -10,6 +10,7 @@ from nav_core.mounting.adapt import adapted
 from nav_core.mounting.closed_form import Start, start
 from nav_core.mounting.model import Noise
 from nav_core.mounting.refine import HUBER, Fit, refine
+from nav_core.mounting.smoothing import as_received, smoothing_time
 from nav_core.mounting.stretch import Fixes, Record
 
 EXCERPT = 400.0
@@ -23,6 +24,14 @@ class Solution(NamedTuple):
     rough: Fit
     """With the noise levels of an ordinary drive, on the excerpt."""
     fit: Fit
+    record: Record
+    """What `fit` is of: the record `as_received`."""
+    smoothing: float
+    """Time constant of the receiver's low-pass, s; 0 for none."""
+
+
+_ROUNDS = 4
+_SETTLED = 0.05
 
 
 def solve(record: Record, noise: Noise) -> Solution:
@@ -42,12 +51,26 @@ def solve(record: Record, noise: Noise) -> Solution:
     part = excerpt(record, EXCERPT)
     first = start(part, noise)
     rough = refine(part, first, noise)
+    seen, smoothing = part, 0.0
+    for _ in range(_ROUNDS):
+        time = smoothing_time(part, rough, noise, smoothing)
+        if abs(time - smoothing) < _SETTLED:
+            break
+        lag = max(rough.speed_lag + smoothing - time, 0.0)
+        seen = as_received(part, time, rough.R_va, lag)
+        better = first._replace(
+            R_va=rough.R_va, speed_lag=lag, course_lag=max(rough.course_lag + smoothing - time, 0.0)
+        )
+        rough, smoothing = refine(seen, better, noise, rough.p), time
     lags = (rough.speed_lag, rough.course_lag)
-    suited = adapted(part, rough.R_va, lags, noise, rough.p, HUBER)
+    suited = adapted(seen, rough.R_va, lags, noise, rough.p, HUBER)
+    if smoothing:
+        first = start(seen, noise)
+    whole = seen if part is record else as_received(record, smoothing, rough.R_va, lags[0])
     if part is record and suited == noise:
-        return Solution(first, rough, rough)
+        return Solution(first, rough, rough, whole, smoothing)
     better = first._replace(R_va=rough.R_va, speed_lag=lags[0], course_lag=lags[1])
-    return Solution(first, rough, refine(record, better, suited, rough.p))
+    return Solution(first, rough, refine(whole, better, suited, rough.p), whole, smoothing)
 
 
 def excerpt(record: Record, length: float) -> Record:

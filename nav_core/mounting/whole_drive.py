@@ -28,6 +28,7 @@ from nav_core.mounting.quality import (
 from nav_core.mounting.reasons import reason
 from nav_core.mounting.refine import Fit
 from nav_core.mounting.self_test import self_test
+from nav_core.mounting.solution import Solution
 from nav_core.mounting.stretch import Record, prepare, usable_fixes
 from nav_core.mounting.trouble import (
     BENDS,
@@ -131,7 +132,7 @@ def analyse(ticks: Ticks, gnss: Gnss, *, noise: Noise | None = None) -> Analysis
         else:
             remarks += (reason("handedness_trusted"),)
     fit = last.solution.fit
-    speed_lag, course_lag = _known_lags(fit)
+    speed_lag, course_lag = _known_lags(last.solution)
     remarks += late(speed_lag, course_lag if bends else None)
     remarks += (reason("slipping"),) if found.slip.any() else ()
     remarks += came_back([piece.solution.fit.R_va for piece in pieces])
@@ -201,13 +202,14 @@ def _turned_at(before: Record, after: Record, spoiled: tuple[Blow, ...]) -> floa
     return next((blow.t for blow in spoiled if begin <= blow.t <= end), end)
 
 
-def _known_lags(fit: Fit) -> tuple[float | None, float | None]:
-    """Lags of speed and course where the drive tells them; a straight road says nothing of the course's."""
+def _known_lags(solution: Solution) -> tuple[float | None, float | None]:
+    """How late slow changes of speed and course come, if the drive tells; a straight road is silent on the course's."""
+    fit = solution.fit
     _, covariance = fit.solve(fit.gram.sum(0))
     sigma = np.sqrt(np.diag(covariance))
     return (
-        fit.speed_lag if sigma[SPEED_LAG] < LAG_KNOWN else None,
-        fit.course_lag if sigma[COURSE_LAG] < LAG_KNOWN else None,
+        fit.speed_lag + solution.smoothing if sigma[SPEED_LAG] < LAG_KNOWN else None,
+        fit.course_lag + solution.smoothing if sigma[COURSE_LAG] < LAG_KNOWN else None,
     )
 
 

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfftfreq
+from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter
 
 from nav_core.earth import radii
 from nav_core.records import Gnss
 from nav_core.simulate.scenario import Scenario
 from nav_core.simulate.spline import Spline
-from nav_core.simulate.vehicle import Vehicle
+from nav_core.simulate.vehicle import START, Vehicle
 from nav_core.typing import Flags, Floats, Integers
 
 _VIBRATION_STEP = 0.005
+_SMOOTHING_STEP = 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -215,11 +218,16 @@ def receive(vehicle: Vehicle, scenario: Scenario, lags: tuple[float, float], rng
     t = _arrivals(scenario, rng)
     at, course_at = t - lags[0], t - lags[1]
     noise = _Noise(t.size, scenario, rng)
-    motion, heading = vehicle.at(at), vehicle.at(course_at)
     antenna = np.subtract(scenario.antenna_arm or scenario.lever_arm, scenario.lever_arm)
-    velocity = motion.velocity + np.einsum("nij,nj->ni", motion.R_tv, np.cross(motion.w, antenna))
-    track = heading.velocity + np.einsum("nij,nj->ni", heading.R_tv, np.cross(heading.w, antenna))
-    position = vehicle.position(at) + motion.R_tv @ antenna
+
+    def of_antenna(when: Floats) -> Floats:
+        motion = vehicle.at(when)
+        velocity = motion.velocity + np.einsum("nij,nj->ni", motion.R_tv, np.cross(motion.w, antenna))
+        return np.concatenate([velocity, vehicle.position(when) + motion.R_tv @ antenna], axis=1)
+
+    seen = _smoothed(of_antenna, scenario) if scenario.gnss_smoothing else of_antenna
+    velocity, position = np.split(seen(at), 2, axis=1)
+    track = seen(course_at)[:, :3]
 
     speed = np.maximum(np.hypot(velocity[:, 0], velocity[:, 1]) + noise.mixed(scenario.gnss_speed_noise), 0.0)
     ground = np.hypot(track[:, 0], track[:, 1])
@@ -237,6 +245,19 @@ def receive(vehicle: Vehicle, scenario: Scenario, lags: tuple[float, float], rng
     columns = [np.where(fix, column[source], np.nan) for column in (lat, lon, alt, speed, course, utc)]
     lat, lon, alt, speed, course, utc = columns
     return Gnss(t=t, lat=lat, lon=lon, alt=alt, speed=speed, course=course, fix=fix, utc=utc)
+
+
+def _smoothed(signal: Callable[[Floats], Floats], scenario: Scenario) -> Callable[[Floats], Floats]:
+    """Columns of a function of time behind the receiver's low-pass, as a function of time."""
+    nodes = np.arange(START, scenario.duration + _SMOOTHING_STEP, _SMOOTHING_STEP)
+    columns = signal(nodes)
+    keep = float(np.exp(-_SMOOTHING_STEP / scenario.gnss_smoothing))
+    # Linear between the nodes: the exact share of either end of a step.
+    ramp = 1.0 - (1.0 - keep) * scenario.gnss_smoothing / _SMOOTHING_STEP
+    taps = [ramp, 1.0 - keep - ramp]
+    begin = columns[:1] * (1.0 - ramp)
+    followed, _ = lfilter(taps, [1.0, -keep], columns, axis=0, zi=begin)
+    return CubicSpline(nodes, followed)
 
 
 class _Noise:

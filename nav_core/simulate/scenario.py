@@ -145,6 +145,9 @@ class Scenario:
         Each horizontal axis, and height, m; correlated over `gnss_correlation`.
     gnss_correlation : float
         Time constant, s.
+    gnss_smoothing : float
+        Time constant of a first-order low-pass in the receiver, through which velocity and position go
+        before noise comes upon them, s; beside the lags, which are pure delays.
     course_floor : float
         Below this true speed the course is random, m/s.
     outages : tuple of (float, float)
@@ -163,6 +166,9 @@ class Scenario:
         Distance over which it is correlated, m.
     body_pitch, body_roll : float
         Suspension: nose up by acceleration, lean outward by cornering, rad per m/s².
+    dive : float
+        What the nose goes down by in braking, as a share of what it comes up by in accelerating: anti-dive
+        and anti-squat of an axle are two different things.
     suspension_frequency, suspension_damping : float
         Hz; share of the critical damping.
     lever_arm : tuple of float
@@ -213,6 +219,7 @@ class Scenario:
     gnss_position_noise: float = 2.0
     gnss_height_noise: float = 3.0
     gnss_correlation: float = 4.0
+    gnss_smoothing: float = 0.0
     course_floor: float = 0.5
     outages: tuple[tuple[float, float], ...] = ()
     frozen: tuple[tuple[float, float], ...] = ()
@@ -223,6 +230,7 @@ class Scenario:
     bank_length: float = 80.0
     body_pitch: float = np.radians(2.5) / STANDARD_GRAVITY
     body_roll: float = np.radians(4.0) / STANDARD_GRAVITY
+    dive: float = 1.0
     suspension_frequency: float = 1.4
     suspension_damping: float = 0.4
     lever_arm: tuple[float, float, float] = (0.8, 0.3, -0.4)
@@ -243,6 +251,8 @@ class Scenario:
             lag = getattr(self, name)
             if lag is not None and not 0.0 <= lag <= MAX_LAG:
                 raise RangeError(name, lag, f"0..{MAX_LAG:g} s")
+        if not 0.0 <= self.gnss_smoothing <= MAX_LAG:
+            raise RangeError("gnss_smoothing", self.gnss_smoothing, f"0..{MAX_LAG:g} s")
         if not 0.0 <= self.gnss_jitter * self.gnss_rate < 1.0:
             raise RangeError("gnss_jitter", self.gnss_jitter, "less than a period")
         if self.R_va is not None and np.shape(self.R_va) != (3, 3):
@@ -269,6 +279,7 @@ class Scenario:
             gnss_jitter=0.0,
             speed_lag=0.0,
             course_lag=0.0,
+            gnss_smoothing=0.0,
             gnss_speed_noise=0.0,
             gnss_course_noise=0.0,
             gnss_position_noise=0.0,

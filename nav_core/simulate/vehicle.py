@@ -266,12 +266,13 @@ def build(scenario: Scenario, rng: np.random.Generator) -> Vehicle:
     t = np.clip(speed.centres, START, None)
     v, a, _ = speed.jet(t)
     lateral = curvature.value(speed.integral(t)) * v**2
+    nodding = np.where(a < 0.0, scenario.dive * a, a)
     vehicle = Vehicle(
         speed=speed,
         curvature=curvature,
         slope=draw_slope(scenario.slope, length, rng),
         bank=draw_bank(scenario.bank, scenario.bank_length, crown, length, rng),
-        pitch=Spline(speed.start, speed.step, scenario.body_pitch * _suspended(a, speed.step, scenario)),
+        pitch=Spline(speed.start, speed.step, scenario.body_pitch * _suspended(nodding, speed.step, scenario)),
         roll=Spline(speed.start, speed.step, -scenario.body_roll * _suspended(lateral, speed.step, scenario)),
         course=course if scenario.start_course is None else scenario.start_course,
         arm=scenario.lever_arm,

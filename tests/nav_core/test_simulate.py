@@ -131,6 +131,22 @@ def test_fixes_lag_speed_and_course_apart() -> None:
     assert (truth.speed_lag, truth.course_lag) == (0.45, 0.2)
 
 
+def test_a_receiver_may_smooth_what_it_says() -> None:
+    plain = replace(Scenario(duration=120.0).faultless(), speed_lag=0.3, course_lag=0.3)
+    drive, truth = simulate(replace(plain, gnss_smoothing=0.8), seed=8)
+    gnss = drive.gnss
+    # An oracle apart from the simulator's own filter: the integral over the past, weighed by its age.
+    age = np.arange(0.0, 8.0, 0.005)
+    weight = np.exp(-age / 0.8) / np.exp(-age / 0.8).sum()
+    late = gnss.t > 12.0
+    when = gnss.t[late, None] - 0.3 - age
+    north, east = (np.interp(when, truth.t, truth.velocity[:, axis]) @ weight for axis in (0, 1))
+    assert np.abs(gnss.speed[late] - np.hypot(north, east)).max() < 0.02
+    moving = gnss.speed[late] > 2.0
+    assert np.abs(wrap(gnss.course[late] - np.arctan2(east, north)))[moving].max() < 0.005
+    assert np.array_equal(drive.inertial.f, simulate(plain, seed=8)[0].inertial.f)
+
+
 def test_drawn_lags_cover_their_range() -> None:
     truths = [simulate(Scenario(route="static", duration=1.0), seed=seed)[1] for seed in range(60)]
     lags = np.array([(truth.speed_lag, truth.course_lag) for truth in truths])
@@ -247,6 +263,7 @@ def test_instruments_do_not_change_the_drive() -> None:
         ({"accel_rate": -1.0}, RangeError),
         ({"speed_lag": 6.0}, RangeError),
         ({"gnss_jitter": 0.3}, RangeError),
+        ({"gnss_smoothing": -0.1}, RangeError),
         ({"R_va": np.zeros(3)}, ShapeError),
         ({"impacts": (Impact(t=400.0, delta_v=1.0),)}, RangeError),
         ({"moves": (Move(t=9.0), Move(t=3.0))}, OrderError),

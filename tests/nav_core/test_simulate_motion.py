@@ -121,6 +121,17 @@ def test_the_body_lifts_its_nose_and_leans_outward() -> None:
     assert gains[1] == pytest.approx(-4.0, rel=0.1)
 
 
+@pytest.mark.parametrize("dive", [0.5, 1.0, 1.5])
+def test_a_nose_may_dive_otherwise_than_it_squats(dive: float) -> None:
+    scenario = replace(PLAIN, body_pitch=np.radians(2.5) / G, duration=300.0, route="urban", dive=dive)
+    _, truth = simulate(scenario, seed=5)
+    pitch = np.degrees(truth.pitch - truth.slope)
+    for hard, gain in ((truth.a_x > 1.0, 2.5), (truth.a_x < -1.0, 2.5 * dive)):
+        assert (pitch[hard] @ truth.a_x[hard]) / (truth.a_x[hard] @ truth.a_x[hard]) * G == pytest.approx(
+            gain, rel=0.05
+        )
+
+
 def test_the_lever_arm_feels_the_turn() -> None:
     there = 2.0
     _, box = simulate(replace(PLAIN, route="roundabout", lever_arm=(there, 0.0, 0.0)), seed=6)
