@@ -266,18 +266,18 @@ BLOW_MPS2 = 14.8
 
 
 def may_hold_a_blow(columns: Columns) -> bool:
-    """Whether anything in a batch could begin an event; its body is then kept as it came."""
-    force = [columns.values[name] for name in ("fx", "fy", "fz") if name in columns.values]
+    """Whether anything in a checked batch could begin an event; its body is then kept as it came."""
+    force = [columns.samples[name] for name in ("fx", "fy", "fz") if name in columns.samples]
     if not force:
         return False
     squares = sum(axis * axis for axis in force)
-    return bool(np.nanmax(squares, initial=0.0) >= BLOW_MPS2**2)
+    return bool(np.max(squares, initial=0.0) >= BLOW_MPS2**2)
 
 
 def readings(columns: Columns) -> int:
     """Rows with a reading of the accelerometer."""
-    force = columns.values.get("fx")
-    return 0 if force is None else int(np.count_nonzero(~np.isnan(force)))
+    force = columns.samples.get("fx")
+    return 0 if force is None else force.size
 
 
 def remarks_on(columns: Columns) -> list[dict[str, str]]:
