@@ -48,7 +48,7 @@ def write(columns: Columns) -> bytes:
         described: list[Writable] = [{2: Long(chunk.begin), 3: chunk.described()} for chunk in chunks]
         groups.append({1: described, 2: Long(sum(chunk.unpacked for chunk in chunks)), 3: Long(chunks[0].rows)})
     leaves: list[Writable] = [{1: _DOUBLE, 3: _OPTIONAL, 4: name.encode()} for name in columns.values]
-    schema = [{4: b"schema", 5: len(leaves)}, *leaves]
+    schema: list[Writable] = [{4: b"schema", 5: len(leaves)}, *leaves]
     footer = packed({1: 1, 2: schema, 3: Long(columns.rows), 4: groups, 6: b"scatola"})
     return bytes(out) + footer + struct.pack("<I", len(footer)) + _MAGIC
 
