@@ -5,7 +5,6 @@ Services never commit: the edge (request, job, command) opens `transaction` and 
 
 from __future__ import annotations
 
-import contextlib
 import copy
 import datetime as dt
 import sqlite3
@@ -33,6 +32,7 @@ ORGANISATION = "organisation_id"
 # A connection that was used so lately is taken to stand still.
 _FRESH_S = 1.0
 _WAL_S = 30.0
+_TURN_S = 30.0
 
 
 class UtcDateTime(TypeDecorator[dt.datetime]):
@@ -130,9 +130,7 @@ class Database:
         self.engine = make_engine(settings)
         self._writer = sessionmaker(self.engine, expire_on_commit=False)
         sqlite = self.engine.dialect.name == "sqlite"
-        # SQLite has one writer, and whoever finds it busy asks again later and later, up to a tenth of a second apart:
-        # the threads of a process take turns instead, and only other processes are waited for in that way.
-        self._turn = threading.Lock() if sqlite else contextlib.nullcontext()
+        self._turn = threading.Lock() if sqlite else None
         self._reader = sessionmaker(self.engine.execution_options(writes=False), expire_on_commit=False)
         self._glances = self.engine.execution_options(
             **({"begins": False} if sqlite else {"isolation_level": "AUTOCOMMIT"})
@@ -153,9 +151,24 @@ class Database:
     @contextmanager
     def transaction(self) -> Generator[Session]:
         """A writing transaction: committed when the block ends, rolled back when it raises."""
-        with self._turn, self._writer.begin() as session:
+        with self._in_turn(), self._writer.begin() as session:
             session.info.update(self.info)
             yield session
+
+    @contextmanager
+    def _in_turn(self) -> Generator[None]:
+        """Threads of this process write to SQLite one after the other.
+
+        SQLite itself has a thread that finds it busy ask again later and later, up to a tenth of a second apart, and
+        whoever asks in between is served first; so only other processes are waited for in that way.
+        """
+        # Who waited in vain asks SQLite, which refuses as it would have without turns.
+        held = self._turn is not None and self._turn.acquire(timeout=_TURN_S)
+        try:
+            yield
+        finally:
+            if held and self._turn is not None:
+                self._turn.release()
 
     @contextmanager
     def reading(self) -> Generator[Session]:
