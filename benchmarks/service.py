@@ -100,6 +100,9 @@ def rows_side_by_side(args: argparse.Namespace) -> tuple[str, list[Row]]:
         Row("columns: readings a second", ours.readings_per_s / 1e6, "M/s"),
         Row("columns: bytes per reading on disk, blobs and tables", bytes_ours, "B", "≤ 4 B"),
     ]
+    with service_rows.serving(service_rows.NOTHING) as rival:
+        ceiling = asyncio.run(load.saturate(rival, "compact", seconds))
+    rows.append(Row("received and decoded, nothing stored: readings a second", ceiling.readings_per_s / 1e6, "M/s"))
     for how, bar in (("row", "≥ 10 x"), ("array", "")):
         with service_rows.serving(how) as rival:
             theirs = asyncio.run(load.saturate(rival, "compact", seconds))
@@ -113,6 +116,7 @@ def rows_side_by_side(args: argparse.Namespace) -> tuple[str, list[Row]]:
                 "x",
             ),
             Row(f"columns over {name}", ours.readings_per_s / theirs.readings_per_s, "x", bar),
+            Row(f"nothing stored over {name}: the ceiling", ceiling.readings_per_s / theirs.readings_per_s, "x"),
             Row(f"{name}: bytes per reading on disk, table and index", bytes_theirs, "B"),
         ]
     return "A row per reading by COPY, side by side", rows

@@ -249,7 +249,10 @@ async def make_box(api: Api) -> dict[str, str]:
 
 
 async def parcels(api: Api, encoding: str) -> AsyncGenerator[tuple[dict[str, str], bytes]]:
-    """Batches without end: each box sends its drive once, so no blob is there already."""
+    """Batches without end of one box after the other; each sends its drive once, so no blob is there already.
+
+    A connection has boxes of its own: a box sends its next batch when the last is acknowledged.
+    """
     while True:
         box = await make_box(api)
         for sequence, body in enumerate(bodies(encoding)):
@@ -268,14 +271,12 @@ def headers_of(token: str, boot: str, sequence: int, encoding: str = "compact") 
 async def saturate(api: Api, encoding: str, seconds: float, *, connections: int = 8) -> Run:
     """As much as goes: every connection sends the next batch when the last is acknowledged."""
     run = Run(200 * 60)
-    source = parcels(api, encoding)
-    lock = asyncio.Lock()
 
     async def client(until: float) -> None:
+        source = parcels(api, encoding)
         async with Connection(api.port) as connection:
             while time.perf_counter() < until:
-                async with lock:
-                    headers, body = await anext(source)
+                headers, body = await anext(source)
                 began = time.perf_counter()
                 await connection.post("/api/v1/batches", headers, body)
                 run.took_s.append(time.perf_counter() - began)
@@ -294,16 +295,14 @@ async def saturate(api: Api, encoding: str, seconds: float, *, connections: int 
 async def paced(api: Api, encoding: str, seconds: float, per_s: float, *, connections: int = 32) -> Run:
     """At a rate, whether or not earlier ones were answered; what waits for a connection waits."""
     run = Run(200 * 60)
-    source = parcels(api, encoding)
-    lock = asyncio.Lock()
     due = iter(np.arange(0.0, seconds, 1.0 / per_s))
     began = time.perf_counter()
 
     async def client() -> None:
+        source = parcels(api, encoding)
         async with Connection(api.port) as connection:
             for at in due:
-                async with lock:
-                    headers, body = await anext(source)
+                headers, body = await anext(source)
                 await asyncio.sleep(max(0.0, began + at - time.perf_counter()))
                 await connection.post("/api/v1/batches", headers, body)
                 run.took_s.append(time.perf_counter() - began - at)

@@ -8,13 +8,14 @@ from __future__ import annotations
 import copy
 import datetime as dt
 import sqlite3
+import threading
 import time
 from collections.abc import Generator
 from contextlib import contextmanager
 from typing import Any
 
 import psycopg
-from sqlalchemy import DateTime, Engine, create_engine, event, text
+from sqlalchemy import Connection, DateTime, Engine, create_engine, event, text
 from sqlalchemy.engine import Dialect
 from sqlalchemy.engine.interfaces import DBAPIConnection, DBAPICursor
 from sqlalchemy.exc import InvalidatePoolError
@@ -31,6 +32,7 @@ ORGANISATION = "organisation_id"
 # A connection that was used so lately is taken to stand still.
 _FRESH_S = 1.0
 _WAL_S = 30.0
+_TURN_S = 30.0
 
 
 class UtcDateTime(TypeDecorator[dt.datetime]):
@@ -116,17 +118,23 @@ def _use_wal(cursor: DBAPICursor) -> None:
 
 def _begin_sqlite(connection: Any) -> None:  # SQLAlchemy passes its Connection untyped to listeners
     # A transaction that will write takes the write lock at once: a later upgrade can fail without waiting.
-    writes = connection.get_execution_options().get("writes", True)
-    connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")
+    options = connection.get_execution_options()
+    if options.get("begins", True):
+        connection.exec_driver_sql("BEGIN IMMEDIATE" if options.get("writes", True) else "BEGIN")
 
 
 class Database:
-    """One engine and the two kinds of transactions on it."""
+    """One engine and the kinds of transactions on it."""
 
     def __init__(self, settings: Settings) -> None:
         self.engine = make_engine(settings)
         self._writer = sessionmaker(self.engine, expire_on_commit=False)
+        sqlite = self.engine.dialect.name == "sqlite"
+        self._turn = threading.Lock() if sqlite else None
         self._reader = sessionmaker(self.engine.execution_options(writes=False), expire_on_commit=False)
+        self._glances = self.engine.execution_options(
+            **({"begins": False} if sqlite else {"isolation_level": "AUTOCOMMIT"})
+        )
         self.info: dict[str, str] = {}
         """Goes into the `info` of every session."""
 
@@ -143,9 +151,24 @@ class Database:
     @contextmanager
     def transaction(self) -> Generator[Session]:
         """A writing transaction: committed when the block ends, rolled back when it raises."""
-        with self._writer.begin() as session:
+        with self._in_turn(), self._writer.begin() as session:
             session.info.update(self.info)
             yield session
+
+    @contextmanager
+    def _in_turn(self) -> Generator[None]:
+        """Threads of this process write to SQLite one after the other.
+
+        SQLite itself has a thread that finds it busy ask again later and later, up to a tenth of a second apart, and
+        whoever asks in between is served first; so only other processes are waited for in that way.
+        """
+        # Who waited in vain asks SQLite, which refuses as it would have without turns.
+        held = self._turn is not None and self._turn.acquire(timeout=_TURN_S)
+        try:
+            yield
+        finally:
+            if held and self._turn is not None:
+                self._turn.release()
 
     @contextmanager
     def reading(self) -> Generator[Session]:
@@ -153,6 +176,15 @@ class Database:
         with self._reader() as session:
             session.info.update(self.info)
             yield session
+
+    @contextmanager
+    def glance(self) -> Generator[Connection]:
+        """For reading statements of which each may see another moment: no transaction is begun and ended around them.
+
+        Confined to nothing: only for what a box asks about itself.
+        """
+        with self._glances.connect() as connection:
+            yield connection
 
     def ping(self) -> None:
         """Raise unless the database answers."""

@@ -113,8 +113,8 @@ def _bearer(settings: Settings, database: Database, token: str, now: dt.datetime
     if token.startswith(KEY_PREFIX):
         with database.reading() as session:
             return service.key_of(session, token, now=now)
-    with database.reading() as session:
-        found = service.device_of(session, token)
+    with database.glance() as connection:
+        found = service.device_of(connection, token)
     if found is None:
         return None
     caller, is_next = found

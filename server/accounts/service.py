@@ -5,7 +5,7 @@ from __future__ import annotations
 import datetime as dt
 from dataclasses import dataclass
 
-from sqlalchemy import bindparam, delete, or_, select
+from sqlalchemy import Connection, bindparam, delete, or_, select
 from sqlalchemy.orm import Session
 
 from server.accounts.caller import Caller
@@ -179,10 +179,10 @@ _BOX = select(Device.id, Device.organisation_id, Device.signed_only, Device.toke
 )
 
 
-def device_of(session: Session, token: str) -> tuple[Caller, bool] | None:
+def device_of(connection: Connection, token: str) -> tuple[Caller, bool] | None:
     """The box that a bearer token belongs to, and whether the token is its next one; none once it is revoked."""
     digest = hash_of(token)
-    row = session.connection().execute(_BOX, {"digest": digest}).first()
+    row = connection.execute(_BOX, {"digest": digest}).first()
     if row is None:
         return None
     if row.signed_only:

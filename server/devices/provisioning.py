@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import datetime as dt
 import secrets
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
-from sqlalchemy import and_, bindparam, delete, select, update
+from sqlalchemy import Row, Select, and_, bindparam, delete, select, update
 from sqlalchemy.orm import Session
 
 from server.accounts.secrets import hash_of, new_token
@@ -172,34 +173,45 @@ def open_requests(session: Session, device_id: str, *, now: dt.datetime) -> list
     return list(session.scalars(wanted.where(DeviceRequest.expires_at > now).order_by(DeviceRequest.created_at)))
 
 
-# Built once: building a statement and its key in the compiler's cache costs more than running it.
-_TOLD = (
-    select(
-        Device.configuration_version,
-        Device.configuration,
-        TheftWatch.alarm_at,
-        DeviceRequest.id,
-        DeviceRequest.boot,
-        DeviceRequest.t_first_s,
-        DeviceRequest.t_last_s,
-    )
-    .outerjoin(TheftWatch, TheftWatch.vehicle_id == Device.vehicle_id)
-    .outerjoin(
-        DeviceRequest,
-        and_(
-            DeviceRequest.device_id == Device.id,
-            DeviceRequest.closed_at.is_(None),
-            DeviceRequest.expires_at > bindparam("now"),
-        ),
-    )
-    .where(Device.id == bindparam("device_id"))
-    .order_by(DeviceRequest.created_at)
+TOLD = (
+    Device.configuration_version,
+    Device.configuration,
+    TheftWatch.alarm_at,
+    DeviceRequest.id,
+    DeviceRequest.boot,
+    DeviceRequest.t_first_s,
+    DeviceRequest.t_last_s,
 )
+"""The columns that `told_by` wants first in its rows."""
+
+
+def with_told(statement: Select[*tuple[Any, ...]]) -> Select[*tuple[Any, ...]]:
+    """A statement on a box, whose parameters are `device_id` and `now`, with what `TOLD` is taken from."""
+    still_open = and_(
+        DeviceRequest.device_id == Device.id,
+        DeviceRequest.closed_at.is_(None),
+        DeviceRequest.expires_at > bindparam("now"),
+    )
+    return (
+        statement.outerjoin(TheftWatch, TheftWatch.vehicle_id == Device.vehicle_id)
+        .outerjoin(DeviceRequest, still_open)
+        .where(Device.id == bindparam("device_id"))
+        .order_by(DeviceRequest.created_at)
+    )
+
+
+# Built once: building a statement and its key in the compiler's cache costs more than running it.
+_TOLD = with_told(select(*TOLD).select_from(Device))
 
 
 def told(session: Session, device_id: str, configuration_seen: int | None, *, now: dt.datetime) -> list[Told]:
     """What goes into an answer to a box: another configuration, open requests, whether to report often."""
     rows = session.connection().execute(_TOLD, {"device_id": device_id, "now": now}).all()
+    return told_by(rows, configuration_seen, now=now)
+
+
+def told_by(rows: Sequence[Row[*tuple[Any, ...]]], configuration_seen: int | None, *, now: dt.datetime) -> list[Told]:
+    """The same from the rows of a statement of `with_told`; a row each for the requests, one where there is none."""
     version, configuration, alarm_at = rows[0][:3]
     items: list[Told] = []
     if version > 0 and configuration_seen != version:
@@ -207,9 +219,7 @@ def told(session: Session, device_id: str, configuration_seen: int | None, *, no
     if alarm_at is not None and now < alarm_at + LIVE_FOR:
         items.append(LiveTold(period_s=LIVE_PERIOD_S, until=alarm_at + LIVE_FOR))
     items += [
-        WindowTold(id=row[3], boot=row[4], t_first_s=row[5], t_last_s=row[6])
-        for row in rows
-        if row[3] is not None  # pyright: ignore[reportUnnecessaryComparison]  an outer join's
+        WindowTold(id=row[3], boot=row[4], t_first_s=row[5], t_last_s=row[6]) for row in rows if row[3] is not None
     ]
     return items
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -85,22 +86,35 @@ class Columns:
         """Number of rows."""
         return int(self.values["t"].size)
 
+    @cached_property
+    def sampled(self) -> dict[str, NDArray[np.bool_]]:
+        """Which rows of each column have a value."""
+        return {name: ~np.isnan(column) for name, column in self.values.items()}
+
+    @cached_property
+    def samples(self) -> dict[str, Floats]:
+        """The values of each column without the rows that have none."""
+        return {
+            name: column if (sampled := self.sampled[name]).all() else column[sampled]
+            for name, column in self.values.items()
+        }
+
     def column_sha256(self) -> str:
         """Canonical hash of names, types and values, whatever file they came in (docs/device-protocol.md)."""
         digest = hashlib.sha256(_HASH_HEAD)
         for name, column in self.values.items():
             values = column.astype("<f8", copy=False)
-            missing = np.isnan(column)
+            missing = values.size - self.samples[name].size
             # Not-a-number has many bit patterns; one stands for all.
-            if missing.any() and (values.view("<u8")[missing] != _ONE_NAN).any():
-                values = np.where(missing, _ONE_NAN.view("<f8"), values)
+            if missing and np.count_nonzero(values.view("<u8") == _ONE_NAN) != missing:
+                values = np.where(self.sampled[name], values, _ONE_NAN.view("<f8"))
             digest.update(f"{name} <f8 {values.size}\n".encode())
             digest.update(values.data)
         return digest.hexdigest()
 
     def to_parquet(self) -> bytes:
         """The stored form: Parquet with zstd, null where not sampled."""
-        from server.formats.parquet import write
+        from server.formats.parquet_write import write
 
         return write(self)
 
@@ -149,31 +163,41 @@ def check_values(columns: Columns) -> None:
     """Raise unless every value can mean something: ranges, whole vectors, a time in every row."""
     if columns.rows == 0:
         raise InvalidError("There are no rows", code="empty")
-    missing = np.isnan(columns.values["t"])
-    if missing.any():
-        row = int(np.argmax(missing))
+    if columns.samples["t"].size < columns.rows:
+        row = int(np.argmin(columns.sampled["t"]))
         raise InvalidError(f"Row {row} (from 0) has no t", code="no_time", column="t", row=row)
-    for name, column in columns.values.items():
+    for name, samples in columns.samples.items():
         low, high = RANGES[name]
-        bad = (column < low) | (column > high)
-        if name in _FLAGS:
-            bad |= (column != 0.0) & (column != 1.0) & ~np.isnan(column)
-        if bad.any():
-            row = int(np.argmax(bad))
-            wanted = "0 or 1" if name in _FLAGS else f"{low:g}..{high:g}"
+        # Told from the samples alone: most columns have a value now and then only.
+        bad = samples.size and (samples.min() < low or samples.max() > high)
+        if bad or (name in _FLAGS and ((samples != 0.0) & (samples != 1.0)).any()):
+            raise _out_of_range(name, columns.values[name])
+    for first, *others in _TOGETHER:
+        if first not in columns.values:
+            continue
+        sampled = columns.sampled
+        if any(not np.array_equal(sampled[first], sampled[other]) for other in others):
+            together = np.array([sampled[name] for name in (first, *others)])
+            row = int(np.argmax(together.any(axis=0) & ~together.all(axis=0)))
             raise InvalidError(
-                f"Column {name!r}, row {row} (from 0) is {column[row]:g}, expected {wanted}",
-                code="out_of_range",
-                column=name,
+                f"Row {row} (from 0) has only some of {', '.join((first, *others))}",
+                code="partial",
+                column=first,
                 row=row,
             )
-    for group in _TOGETHER:
-        if group[0] not in columns.values:
-            continue
-        sampled = np.array([~np.isnan(columns.values[name]) for name in group])
-        partial = sampled.any(axis=0) & ~sampled.all(axis=0)
-        if partial.any():
-            row = int(np.argmax(partial))
-            raise InvalidError(
-                f"Row {row} (from 0) has only some of {', '.join(group)}", code="partial", column=group[0], row=row
-            )
+
+
+def _out_of_range(name: str, column: Floats) -> InvalidError:
+    """Of a column's first value that is, as `check_values` found."""
+    low, high = RANGES[name]
+    bad = (column < low) | (column > high)
+    if name in _FLAGS:
+        bad |= (column != 0.0) & (column != 1.0) & ~np.isnan(column)
+    row = int(np.argmax(bad))
+    wanted = "0 or 1" if name in _FLAGS else f"{low:g}..{high:g}"
+    return InvalidError(
+        f"Column {name!r}, row {row} (from 0) is {column[row]:g}, expected {wanted}",
+        code="out_of_range",
+        column=name,
+        row=row,
+    )

@@ -7,6 +7,8 @@ only loops run over blocks and columns, of which a body holds at most 8 and 21.
 
 from __future__ import annotations
 
+import itertools
+import math
 import struct
 import zlib
 from dataclasses import dataclass
@@ -51,19 +53,23 @@ def read(body: bytes, *, max_decoded_bytes: int | None) -> Columns:
     names = {column.name for layout in layouts for column in layout.columns}
     check_size(rows, len(names) + 1, max_decoded_bytes)
     values = {name: np.full(rows, np.nan) for name in names}
-    ticks = np.empty(rows, dtype=np.int64)
-    begin = 0
-    for layout in layouts:
-        end = begin + layout.rows
-        ticks[begin:end] = layout.ticks(body)
+    ticks, places = _merged([layout.ticks(body) for layout in layouts])
+    for layout, place in zip(layouts, places, strict=True):
         for column in layout.columns:
-            values[column.name][begin:end] = column.values(body, layout.rows)
-        begin = end
-    if len(layouts) > 1:
-        order = np.argsort(ticks, kind="stable")
-        ticks = ticks[order]
-        values = {name: column[order] for name, column in values.items()}
+            values[column.name][place] = column.values(body, layout.rows)
     return Columns({"t": ticks / ticks_per_s, **values})
+
+
+def _merged(ticks: list[Ticks]) -> tuple[Ticks, list[Ticks | slice]]:
+    """The ticks of all blocks in the order of time, and where each block's rows are among them."""
+    if len(ticks) == 1:
+        return ticks[0], [slice(None)]
+    together = np.concatenate(ticks)
+    order = np.argsort(together, kind="stable")
+    places = np.empty_like(order)
+    places[order] = np.arange(order.size)
+    ends = itertools.accumulate(block.size for block in ticks)
+    return together[order], [places[end - block.size : end] for block, end in zip(ticks, ends, strict=True)]
 
 
 def _bad(what: str) -> InvalidError:
@@ -189,6 +195,6 @@ def _described(cursor: _Cursor, where: str) -> tuple[str, int, float, float]:
         raise _bad(f"{where} has number {number}; 1 to {len(NAMES) - 1} have a meaning")
     if kind not in _VALUES:
         raise _bad(f"{where} has type {kind}")
-    if not (np.isfinite(scale) and np.isfinite(offset)) or scale == 0.0:
+    if not (math.isfinite(scale) and math.isfinite(offset)) or scale == 0.0:
         raise _bad(f"{where} has scale {scale:g} and offset {offset:g}")
     return NAMES[number], kind, scale, offset

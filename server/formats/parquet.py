@@ -1,10 +1,8 @@
-"""Parquet in and out."""
+"""Parquet in."""
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
-from typing import cast
 
 import numpy as np
 import pyarrow as pa
@@ -14,31 +12,11 @@ from nav_core.typing import Floats
 from server.errors import InvalidError
 from server.formats.columns import Columns
 from server.formats.parquet_check import check
-from server.formats.tables import column_of, table_of
-
-# Clocks tick evenly, so their bytes repeat when sorted by place; measured values repeat as a whole.
-_CLOCKS = ("t", "utc")
-
-
-def write(columns: Columns) -> bytes:
-    """Columns as Parquet: zstd, null where not sampled, the same bytes for the same columns and library."""
-    sink = io.BytesIO()
-    # The names may be lists; pyarrow's own annotations do not say so.
-    pq.write_table(
-        table_of(columns),
-        sink,
-        compression="zstd",
-        compression_level=3,
-        use_dictionary=cast("bool", [name for name in columns.values if name not in _CLOCKS]),
-        use_byte_stream_split=cast("bool", [name for name in columns.values if name in _CLOCKS]),
-        write_statistics=False,
-        store_schema=False,
-    )
-    return sink.getvalue()
+from server.formats.tables import column_of
 
 
 def read_columns(body: bytes, names: Sequence[str]) -> dict[str, Floats]:
-    """The clock and some columns of a file that `write` made, those of them that it has; NaN where not sampled."""
+    """The clock and some columns of a file of `parquet_write`, those that it has; NaN where not sampled."""
     file = pq.ParquetFile(pa.BufferReader(body))
     wanted = ["t", *(name for name in file.schema_arrow.names if name in names)]
     table = file.read(columns=wanted, use_threads=False)

@@ -1,7 +1,7 @@
 """Thrift structs in the compact protocol, as Parquet writes its footer and page headers.
 
 Parquet's own readers take a file's structure on trust in places and end the process when it lies;
-so a file from outside is first looked at with this, which can only raise.
+so a file from outside is first looked at with `ThriftReader`, which can only raise.
 """
 
 from __future__ import annotations
@@ -16,6 +16,58 @@ Struct: TypeAlias = dict[int, Value]
 # Wire types of the compact protocol.
 _STOP, _TRUE, _FALSE, _BYTE, _I16, _I32, _I64, _DOUBLE, _BINARY, _LIST, _SET, _MAP, _STRUCT = range(13)
 _MAX_DEPTH = 12
+
+
+class Long(int):
+    """A number that is written as 64 bits, not 32."""
+
+
+Writable: TypeAlias = Union[int, bytes, "list[Writable]", "dict[int, Writable]"]
+_WIRES: dict[type, int] = {int: _I32, Long: _I64, bytes: _BINARY, list: _LIST, dict: _STRUCT}
+
+
+def varint(value: int) -> bytes:
+    """Seven bits a byte, the lowest first."""
+    out = bytearray()
+    while value > 0x7F:
+        out.append(value & 0x7F | 0x80)
+        value >>= 7
+    out.append(value)
+    return bytes(out)
+
+
+def packed(fields: dict[int, Writable]) -> bytes:
+    """A struct, whose field numbers rise by less than 16; lists hold values of one type, and no number is negative."""
+    out = bytearray()
+    _pack(fields, out)
+    return bytes(out)
+
+
+def _pack(fields: dict[int, Writable], out: bytearray) -> None:
+    before = 0
+    for number, value in fields.items():
+        out.append((number - before) << 4 | _WIRES[type(value)])
+        _pack_value(value, out)
+        before = number
+    out.append(_STOP)
+
+
+def _pack_value(value: Writable, out: bytearray) -> None:
+    if isinstance(value, int):
+        if value < 0x40:
+            out.append(value << 1)
+        else:
+            out += varint(value << 1)
+    elif isinstance(value, dict):
+        _pack(value, out)
+    elif isinstance(value, bytes):
+        out += varint(len(value))
+        out += value
+    else:
+        wire = _WIRES[type(value[0])] if value else _STRUCT
+        out += bytes([len(value) << 4 | wire]) if len(value) < 15 else bytes([0xF0 | wire]) + varint(len(value))
+        for item in value:
+            _pack_value(item, out)
 
 
 class ThriftReader:

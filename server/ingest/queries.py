@@ -5,12 +5,14 @@ from __future__ import annotations
 import datetime as dt
 from dataclasses import dataclass
 
-from sqlalchemy import bindparam, func, select
+from sqlalchemy import Connection, bindparam, func, select
 from sqlalchemy.orm import Session
 
 from server.models import Batch, JobFailure, SequenceRun
 
 MAX_RANGES = 100
+Runs = list[tuple[int, int]]
+"""First and last sequence of each, in their order."""
 # Built once: building a statement and its key in the compiler's cache costs more than running it.
 _RUNS = (
     select(SequenceRun.first, SequenceRun.last)
@@ -57,9 +59,14 @@ def failing(session: Session) -> tuple[int, int]:
     return counts[0], counts[1]
 
 
-def progress(session: Session, device_id: str, stream: str, boot: str) -> Progress:
-    """Gaps of a boot's stream, the first `MAX_RANGES` of them; as many rows are read, however long it is."""
-    runs = session.connection().execute(_RUNS, {"device_id": device_id, "stream": stream, "boot": boot})
+def runs(connection: Connection, device_id: str, stream: str, boot: str) -> Runs:
+    """The first `MAX_RANGES` + 1 runs of stored sequences; as many rows are read, however long the stream is."""
+    rows = connection.execute(_RUNS, {"device_id": device_id, "stream": stream, "boot": boot})
+    return [(first, last) for first, last in rows]
+
+
+def progress(runs: Runs) -> Progress:
+    """Gaps between runs, the first `MAX_RANGES` of them."""
     missing: list[tuple[int, int]] = []
     wanted = 0
     for first, last in runs:

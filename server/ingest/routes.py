@@ -8,16 +8,15 @@ from typing import Annotated, cast
 
 from anyio import CapacityLimiter, to_thread
 from fastapi import APIRouter, Header, Request
-from sqlalchemy.orm import Session
 
 from server.accounts.access import Caller, DeviceCaller
 from server.database import Database
-from server.devices.provisioning import check_quota, told
+from server.devices.provisioning import check_quota
 from server.edge import DatabaseOf, Now, SettingsOf, StoreOf, Wake
 from server.errors import TooManyRequestsError, UnauthenticatedError
 from server.formats.decode import MEDIA_TYPES, decode, media_type_of
 from server.formats.encoding import encoding_of, unpack
-from server.ingest import queries, service
+from server.ingest import queries, service, standing
 from server.ingest.body import read_body
 from server.ingest.schemas import Acknowledgement
 from server.limits import TokenBuckets
@@ -116,12 +115,13 @@ def _store(
     """The answer, how many rows are new, and how many of them have an accelerometer reading."""
     device_id, key, media_type = cast("str", caller.device_id), sent.key, sent.media_type
     sha256 = service.body_sha256(body)
-    with database.reading() as session:
-        # Most repeats end here, undecoded; `accept` asks again under the device's lock.
-        stored, quota = service.standing(session, device_id, key, media_type, sha256)
-        if stored is not None:
-            return _answer(session, device_id, sent, stored, now, duplicate=True), 0, 0
-    check_quota(quota, sent.size, limit=settings.device_bytes_per_day, burst=key.stream == "burst", now=now)
+    with database.glance() as connection:
+        before = standing.read(connection, device_id, key, sent.notes, now=now)
+    # Most repeats end here, undecoded.
+    stored = before.repeated(media_type, sha256)
+    if stored is not None:
+        return _answer(service.Accepted(stored, True, before), now), 0, 0
+    check_quota(before.quota, sent.size, limit=settings.device_bytes_per_day, burst=key.stream == "burst", now=now)
     with tracer.start_as_current_span("decode"):
         columns = decode(media_type, body, max_decoded_bytes=settings.max_decoded_bytes)
     column_sha256 = columns.column_sha256()
@@ -146,21 +146,18 @@ def _store(
         notes=sent.notes,
     )
     with tracer.start_as_current_span("commit row"), database.transaction() as session:
-        batch_id, duplicate = service.accept(session, device_id, made, now=now)
-        answer = _answer(session, device_id, sent, batch_id, now, duplicate=duplicate)
-    return (answer, 0, 0) if duplicate else (answer, columns.rows, service.readings(columns))
+        accepted = service.accept(session, device_id, made, now=now, before=before)
+    answer = _answer(accepted, now)
+    return (answer, 0, 0) if answer.duplicate else (answer, columns.rows, service.readings(columns))
 
 
-def _answer(
-    session: Session, device_id: str, sent: _Sent, batch_id: str, now: dt.datetime, *, duplicate: bool
-) -> Acknowledgement:
-    progress = queries.progress(session, device_id, sent.key.stream, sent.key.boot)
-    requests = told(session, device_id, sent.notes.configuration, now=now)
+def _answer(accepted: service.Accepted, now: dt.datetime) -> Acknowledgement:
+    progress = queries.progress(accepted.standing.runs)
     return Acknowledgement(
-        batch_id=batch_id,
-        duplicate=duplicate,
+        batch_id=accepted.batch_id,
+        duplicate=accepted.duplicate,
         next_sequence=progress.next_sequence,
         missing=progress.missing,
         server_time=now,
-        requests=requests,
+        requests=accepted.standing.told,
     )

@@ -5,19 +5,21 @@ from __future__ import annotations
 import datetime as dt
 import hashlib
 import re
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, cast
+from typing import Any, Literal, NamedTuple, cast
 
 import numpy as np
 from sqlalchemy import Connection, Table, and_, bindparam, delete, insert, select, update
 from sqlalchemy.orm import Session
 
-from server.devices.provisioning import Quota, answered, counted
+from server.devices.provisioning import answered, counted
 from server.diagnosis.service import Reading, keep, per_minute
-from server.errors import ConflictError, InvalidError, UnauthenticatedError
+from server.errors import InvalidError, UnauthenticatedError
 from server.formats.columns import Columns
+from server.ingest import queries, standing
 from server.ingest.chain import link
+from server.ingest.queries import Runs
+from server.ingest.standing import Standing
 from server.live.changes import announce
 from server.models import Batch, Device, SequenceRun, new_id
 
@@ -108,27 +110,20 @@ def body_sha256(body: bytes) -> str:
 
 
 # Statements are built once, and rows written without the mapper's unit of work: it would cost most of an upload.
-_OF_KEY = and_(
-    Batch.stream == bindparam("stream"), Batch.boot == bindparam("boot"), Batch.sequence == bindparam("sequence")
-)
-_STORED = Batch.id, Batch.body_sha256, Batch.media_type
-_QUOTA = Device.quota_day, Device.quota_bytes, Device.bytes_per_day
-_STANDING = (
-    select(*_QUOTA, *_STORED)
-    .outerjoin(Batch, and_(Batch.device_id == Device.id, _OF_KEY))
-    .where(Device.id == bindparam("device_id"))
-)
-_LOCKED = (
-    select(
-        Device.organisation_id, Device.vehicle_id, Device.revoked_at, Device.chain_length, Device.chain_head, *_QUOTA
-    )
-    .where(Device.id == bindparam("device_id"))
-    .with_for_update()
-)
-_KNOWN = select(*_STORED).where(Batch.device_id == bindparam("device_id"), _OF_KEY)
 _BATCHES, _DEVICES, _RUNS = (cast("Table", row.__table__) for row in (Batch, Device, SequenceRun))
+_LOCK = select(_DEVICES.c.id).where(_DEVICES.c.id == bindparam("device_id")).with_for_update()
+_SEEN = update(_DEVICES).where(_DEVICES.c.id == bindparam("device_id"))
+_GROW = (
+    update(_DEVICES)
+    .where(
+        _DEVICES.c.id == bindparam("device_id"),
+        _DEVICES.c.chain_length == bindparam("length_before"),
+        _DEVICES.c.chain_head == bindparam("head_before"),
+        _DEVICES.c.revoked_at.is_(None),
+    )
+    .returning(_DEVICES.c.organisation_id, _DEVICES.c.vehicle_id)
+)
 _INSERT_BATCH = insert(_BATCHES)
-_UPDATE_DEVICE = update(_DEVICES).where(_DEVICES.c.id == bindparam("device_id"))
 _OF_BOOT = and_(
     _RUNS.c.device_id == bindparam("of_device"),
     _RUNS.c.stream == bindparam("of_stream"),
@@ -145,57 +140,110 @@ _UPDATE_RUN = update(_RUNS).where(_OF_BOOT, _RUNS.c.first == bindparam("of_first
 _DELETE_RUN = delete(_RUNS).where(_OF_BOOT, _RUNS.c.first == bindparam("of_first"))
 
 
-def _checked(row: Sequence[Any] | None, media_type: str, sha256: str) -> str | None:
-    """Id of the batch stored under a key, from `_STORED`, if any; raises when it was another."""
-    if row is None or row[0] is None:
-        return None
-    if (row[1], row[2]) != (sha256, media_type):
-        raise ConflictError(
-            "Another body was stored under this key; a sequence is used once", code="sequence_reused", batch_id=row[0]
-        )
-    return row[0]
+class Accepted(NamedTuple):
+    """What became of an upload, and where the box stands now."""
+
+    batch_id: str
+    duplicate: bool
+    standing: Standing
 
 
-def standing(session: Session, device_id: str, key: BatchKey, media_type: str, sha256: str) -> tuple[str | None, Quota]:
-    """Id of the batch stored under this key, if any, and the box's quota; raises when the batch was another."""
-    asked = {"device_id": device_id, "stream": key.stream, "boot": key.boot, "sequence": key.sequence}
-    row = session.connection().execute(_STANDING, asked).one()
-    return _checked(row[3:], media_type, sha256), Quota(*row[:3])
+def accept(
+    session: Session, device_id: str, upload: Upload, *, now: dt.datetime, before: Standing | None = None
+) -> Accepted:
+    """Store the row of an upload.
 
-
-def accept(session: Session, device_id: str, upload: Upload, *, now: dt.datetime) -> tuple[str, bool]:
-    """Store the row of an upload; its id, and whether it was there already.
-
-    The device's row is locked: its chain grows one link at a time, and a key that is sent twice at
-    once is stored once.
+    A box's chain grows one link at a time, and a key that is sent twice at once is stored once: either the chain is
+    still as it was when `before` was read, or its row is locked and all is read again.
     """
     connection, key = session.connection(), upload.key
-    device = connection.execute(_LOCKED, {"device_id": device_id}).one()
-    if device.revoked_at is not None:
-        raise UnauthenticatedError("The device is revoked")
-    seen: dict[str, Any] = {"device_id": device_id, "last_seen_at": now}
-    if upload.notes.configuration is not None:
-        seen["configuration_seen"] = upload.notes.configuration
-    asked = {"device_id": device_id, "stream": key.stream, "boot": key.boot, "sequence": key.sequence}
-    stored = _checked(connection.execute(_KNOWN, asked).first(), upload.media_type, upload.body_sha256)
-    if stored is not None:
-        connection.execute(_UPDATE_DEVICE, seen)
-        return stored, True
+    grown = None if before is None else _grow(connection, device_id, upload, before, now)
+    if before is None or grown is None:
+        connection.execute(_LOCK, {"device_id": device_id})
+        before = standing.read(connection, device_id, key, upload.notes, now=now)
+        if before.revoked_at is not None:
+            raise UnauthenticatedError("The device is revoked")
+        stored = before.repeated(upload.media_type, upload.body_sha256)
+        if stored is not None:
+            connection.execute(_SEEN, {"device_id": device_id, **_seen(upload, now)})
+            return Accepted(stored, True, before)
+        grown = _grow(connection, device_id, upload, before, now)
+        assert grown is not None  # nobody else can: the row is locked
+    batch_id = new_id()
+    connection.execute(
+        _INSERT_BATCH,
+        {
+            "id": batch_id,
+            "device_id": device_id,
+            "organisation_id": grown.organisation_id,
+            "received_at": now,
+            "chain_index": before.chain_length,
+            "chain_sha256": grown.link,
+            **_described(upload),
+        },
+    )
+    answered(session, device_id, upload.notes.answers, batch_id, now=now)
+    runs = _extend_runs(connection, device_id, key, before.runs)
+    if upload.columns.named:
+        keep(session, device_id, _named(upload.columns, now), now=now)
+    announce(
+        session,
+        "batch",
+        at=now,
+        organisation_id=grown.organisation_id,
+        device_id=device_id,
+        vehicle_id=grown.vehicle_id,
+        data={"stream": key.stream, "rows": upload.columns.rows},
+    )
+    return Accepted(batch_id, False, before.after(runs, upload.notes.answers))
+
+
+class _Grown(NamedTuple):
+    """A box whose chain has one link more."""
+
+    organisation_id: str
+    vehicle_id: str | None
+    link: str
+
+
+def _grow(connection: Connection, device_id: str, upload: Upload, before: Standing, now: dt.datetime) -> _Grown | None:
+    """Add a link to the box's chain; None where it is no longer as it was, or the box is revoked."""
     chain = link(
-        device.chain_head or device_id,
+        before.chain_head or device_id,
         body_sha256=upload.body_sha256,
         column_sha256=upload.column_sha256,
-        stream=key.stream,
-        boot=key.boot,
-        sequence=key.sequence,
+        stream=upload.key.stream,
+        boot=upload.key.boot,
+        sequence=upload.key.sequence,
         received_at=now,
     )
+    quota = counted(before.quota, upload.sent_bytes, now=now)
+    values = {
+        "device_id": device_id,
+        "length_before": before.chain_length,
+        "head_before": before.chain_head,
+        "chain_length": before.chain_length + 1,
+        "chain_head": chain,
+        "quota_day": quota.day,
+        "quota_bytes": quota.used,
+    }
+    row = connection.execute(_GROW, {**values, **_seen(upload, now)}).first()
+    return None if row is None else _Grown(row[0], row[1], chain)
+
+
+def _seen(upload: Upload, now: dt.datetime) -> dict[str, Any]:
+    """What an upload shows of a box, stored or not."""
+    told = upload.notes.configuration
+    return {"last_seen_at": now} if told is None else {"last_seen_at": now, "configuration_seen": told}
+
+
+def _described(upload: Upload) -> dict[str, Any]:
+    """A batch's row as far as the upload says."""
     t = upload.columns.values["t"]
-    batch_id = new_id()
-    row = {
-        **asked,
-        "id": batch_id,
-        "organisation_id": device.organisation_id,
+    return {
+        "stream": upload.key.stream,
+        "boot": upload.key.boot,
+        "sequence": upload.key.sequence,
         "media_type": upload.media_type,
         "body_sha256": upload.body_sha256,
         "column_sha256": upload.column_sha256,
@@ -205,30 +253,9 @@ def accept(session: Session, device_id: str, upload: Upload, *, now: dt.datetime
         "rows": upload.columns.rows,
         "t_first_s": float(t.min()),
         "t_last_s": float(t.max()),
-        "received_at": now,
         "sent_t_s": upload.notes.sent_t_s,
-        "chain_index": device.chain_length,
-        "chain_sha256": chain,
         "remarks": remarks_on(upload.columns),
     }
-    connection.execute(_INSERT_BATCH, row)
-    answered(session, device_id, upload.notes.answers, batch_id, now=now)
-    _extend_runs(connection, device_id, key)
-    if upload.columns.named:
-        keep(session, device_id, _named(upload.columns, now), now=now)
-    quota = counted(Quota(device.quota_day, device.quota_bytes, device.bytes_per_day), upload.sent_bytes, now=now)
-    grown = {"chain_length": device.chain_length + 1, "chain_head": chain}
-    connection.execute(_UPDATE_DEVICE, {**seen, **grown, "quota_day": quota.day, "quota_bytes": quota.used})
-    announce(
-        session,
-        "batch",
-        at=now,
-        organisation_id=device.organisation_id,
-        device_id=device_id,
-        vehicle_id=device.vehicle_id,
-        data={"stream": key.stream, "rows": upload.columns.rows},
-    )
-    return batch_id, False
 
 
 def _named(columns: Columns, now: dt.datetime) -> list[Reading]:
@@ -243,22 +270,27 @@ def _named(columns: Columns, now: dt.datetime) -> list[Reading]:
     ]
 
 
-def _extend_runs(connection: Connection, device_id: str, key: BatchKey) -> None:
+def _extend_runs(connection: Connection, device_id: str, key: BatchKey, runs: Runs) -> Runs:
     """Count a new sequence into the runs: it lengthens one, joins two, or begins its own."""
     of_boot = {"of_device": device_id, "of_stream": key.stream, "of_boot": key.boot}
-    runs = connection.execute(_NEIGHBOURS, {**of_boot, "next": key.sequence + 1}).all()
-    above = runs[0] if runs and runs[0].first == key.sequence + 1 else None
-    below = next((run for run in runs if run.last == key.sequence - 1), None)
+    whole = len(runs) <= queries.MAX_RANGES
+    near = runs if whole else connection.execute(_NEIGHBOURS, {**of_boot, "next": key.sequence + 1}).all()
+    above = next((run for run in near if run[0] == key.sequence + 1), None)
+    below = next((run for run in near if run[1] == key.sequence - 1), None)
+    first = key.sequence if below is None else below[0]
+    last = key.sequence if above is None else above[1]
     if below is None and above is None:
         began = {"device_id": device_id, "stream": key.stream, "boot": key.boot}
-        connection.execute(_INSERT_RUN, {**began, "first": key.sequence, "last": key.sequence})
+        connection.execute(_INSERT_RUN, {**began, "first": first, "last": last})
     elif below is None:
-        connection.execute(_UPDATE_RUN, {**of_boot, "of_first": key.sequence + 1, "first": key.sequence})
+        connection.execute(_UPDATE_RUN, {**of_boot, "of_first": key.sequence + 1, "first": first})
     else:
         if above is not None:
-            connection.execute(_DELETE_RUN, {**of_boot, "of_first": above.first})
-        last = key.sequence if above is None else above.last
-        connection.execute(_UPDATE_RUN, {**of_boot, "of_first": below.first, "last": last})
+            connection.execute(_DELETE_RUN, {**of_boot, "of_first": above[0]})
+        connection.execute(_UPDATE_RUN, {**of_boot, "of_first": first, "last": last})
+    if not whole:
+        return queries.runs(connection, device_id, key.stream, key.boot)
+    return sorted([*(run for run in runs if run not in (below, above)), (first, last)])
 
 
 BLOW_MPS2 = 14.8
@@ -266,18 +298,18 @@ BLOW_MPS2 = 14.8
 
 
 def may_hold_a_blow(columns: Columns) -> bool:
-    """Whether anything in a batch could begin an event; its body is then kept as it came."""
-    force = [columns.values[name] for name in ("fx", "fy", "fz") if name in columns.values]
+    """Whether anything in a checked batch could begin an event; its body is then kept as it came."""
+    force = [columns.samples[name] for name in ("fx", "fy", "fz") if name in columns.samples]
     if not force:
         return False
     squares = sum(axis * axis for axis in force)
-    return bool(np.nanmax(squares, initial=0.0) >= BLOW_MPS2**2)
+    return bool(np.max(squares, initial=0.0) >= BLOW_MPS2**2)
 
 
 def readings(columns: Columns) -> int:
     """Rows with a reading of the accelerometer."""
-    force = columns.values.get("fx")
-    return 0 if force is None else int(np.count_nonzero(~np.isnan(force)))
+    force = columns.samples.get("fx")
+    return 0 if force is None else force.size
 
 
 def remarks_on(columns: Columns) -> list[dict[str, str]]:

@@ -8,17 +8,23 @@ lock that the transaction keeps until it ends.  SQLite has a single writer and n
 from __future__ import annotations
 
 import datetime as dt
-from typing import Any
+from typing import Any, cast
 
-from sqlalchemy import event, insert, text
+from sqlalchemy import Table, bindparam, event, func, insert, select
 from sqlalchemy.orm import Session
 
 from server.database import CHANGE_LOCK
 from server.models import Change
 
 _PENDING = "pending_changes"
-_LOCK = text("SELECT pg_advisory_xact_lock(:lock)")
-_INSERT = insert(Change.__table__)  # pyright: ignore[reportArgumentType]  a mapped class has a Table
+_CHANGES = cast("Table", Change.__table__)
+_INSERT = insert(_CHANGES)
+_NAMES = ["kind", "at", "organisation_id", "device_id", "vehicle_id", "data"]
+# In one statement: the row is made of what the lock gave, so its id is drawn when the lock is held.
+_HELD = select(func.pg_advisory_xact_lock(CHANGE_LOCK).label("held")).cte("held").prefix_with("MATERIALIZED")
+_INSERT_HELD = insert(_CHANGES).from_select(
+    _NAMES, select(*(bindparam(name, type_=_CHANGES.c[name].type) for name in _NAMES)).select_from(_HELD)
+)
 
 
 def announce(
@@ -50,11 +56,10 @@ def _append(session: Session) -> None:
         return
     session.flush()
     connection = session.connection()
-    if connection.dialect.name == "postgresql":
-        connection.execute(_LOCK, {"lock": CHANGE_LOCK})
+    statement = _INSERT_HELD if connection.dialect.name == "postgresql" else _INSERT
     # One by one: a statement of many rows need not number them in their order.
     for change in pending:
-        connection.execute(_INSERT, change)
+        connection.execute(statement, change)
 
 
 def _forget(session: Session) -> None:

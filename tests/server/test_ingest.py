@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime as dt
 import gzip
 import hashlib
 import json
@@ -19,10 +20,11 @@ import sqlalchemy as sa
 import zstandard
 
 from server.app import create_app
+from server.errors import UnauthenticatedError
 from server.formats.columns import Columns
 from server.formats.tables import table_of
+from server.ingest import queries, service, standing
 from server.ingest.chain import instant, link
-from server.ingest.queries import progress
 from server.models import Batch, Change, Device, SequenceRun
 from server.store import open_store
 
@@ -239,8 +241,8 @@ def test_progress_among_a_hundred_thousand_batches_is_found_quickly(box, databas
     taken = []
     for _ in range(5):
         began = time.perf_counter()
-        with database.reading() as session:
-            progress(session, box.device_id, "continuous", "boot1")
+        with database.glance() as connection:
+            queries.progress(queries.runs(connection, box.device_id, "continuous", "boot1"))
         taken.append(time.perf_counter() - began)
     assert min(taken) < 0.05
 
@@ -493,3 +495,28 @@ def test_the_documented_example_is_true(box):
     body = text.split("echo '", 1)[1].split("' | gzip", 1)[0].encode()
     answer = box.send(0, gzip.compress(body), Content_Encoding="gzip", boot="boot-7")
     assert (answer.status_code, answer.json()["next_sequence"]) == (202, 1), answer.text
+
+
+def test_a_standing_that_is_no_longer_true_is_read_again(box, database):
+    """What was read before another batch came, or before the box was revoked, does not count."""
+    assert box.send(0).status_code == 202
+    with database.glance() as connection:
+        key = service.BatchKey("continuous", "boot1", 1)
+        old = standing.read(connection, box.device_id, key, service.BoxNotes(), now=dt.datetime.now(dt.UTC))
+    assert box.send(2).status_code == 202
+    late = columns(5)
+    upload = service.Upload(key, "application/json", "0" * 64, late, late.column_sha256(), "k", None, 1)
+    with database.transaction() as session:
+        accepted = service.accept(session, box.device_id, upload, now=dt.datetime.now(dt.UTC), before=old)
+    assert not accepted.duplicate
+    assert accepted.standing.runs == [(0, 2)]
+    with database.transaction() as session:
+        again = service.accept(session, box.device_id, upload, now=dt.datetime.now(dt.UTC), before=old)
+        assert (again.batch_id, again.duplicate) == (accepted.batch_id, True)
+    with database.reading() as session:
+        links = session.scalars(sa.select(Batch.chain_index).where(Batch.device_id == box.device_id)).all()
+        assert sorted(links) == [0, 1, 2]
+    with database.transaction() as session:
+        session.get_one(Device, box.device_id).revoked_at = dt.datetime.now(dt.UTC)
+    with database.transaction() as session, pytest.raises(UnauthenticatedError):
+        service.accept(session, box.device_id, upload, now=dt.datetime.now(dt.UTC), before=again.standing)

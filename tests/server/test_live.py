@@ -4,15 +4,18 @@ import asyncio
 import datetime as dt
 import json
 import threading
+from concurrent.futures import ThreadPoolExecutor
 from typing import Self
 
 import httpx
 import pytest
+import sqlalchemy as sa
 
 from server.live import routes
-from server.live.changes import announce
+from server.live.changes import _append, announce
 from server.live.hub import QUEUE, LiveHub
 from server.models import Change, Organisation
+from tests.e2e.service import eventually
 
 
 @pytest.fixture
@@ -30,6 +33,35 @@ def tell(database, organisation, clock):
             return [change.id for change in session.query(Change).order_by(Change.id)][-len(kinds) :]
 
     return tell
+
+
+@pytest.mark.both_databases
+def test_ids_rise_in_the_order_of_commit(database, organisation, clock):
+    def tell(session, kind):
+        announce(session, kind, at=clock(), organisation_id=organisation.id)
+
+    def another():
+        with database.transaction() as session:
+            tell(session, "later")
+
+    def waits() -> bool:
+        with database.glance() as connection:
+            return bool(
+                connection.scalar(sa.text("SELECT 1 FROM pg_locks WHERE locktype = 'advisory' AND NOT granted"))
+            )
+
+    with ThreadPoolExecutor(1) as pool:
+        with database.transaction() as session:
+            tell(session, "first")
+            _append(session)  # as before a commit, which here takes its time
+            begun = pool.submit(another)
+            if database.engine.dialect.name == "postgresql":
+                eventually(waits, within_s=20, what="the other transaction waits for the lock")
+            tell(session, "second")
+        begun.result(20)
+    with database.reading() as session:
+        kinds = session.scalars(sa.select(Change.kind).order_by(Change.id)).all()
+    assert kinds == ["first", "second", "later"]
 
 
 class Stream:
