@@ -119,6 +119,36 @@ class Ticks:
         )
 
 
+@kernel
+def _places(t: Floats, at: Floats, out: Integers) -> None:
+    """Set `out` to ``np.searchsorted(t, at)`` of an `at` that does not decrease either: one walk along both."""
+    j = 0
+    for i in range(at.size):
+        while j < t.size and t[j] < at[i]:
+            j += 1
+        out[i] = j
+
+
+def first_not_before(t: Floats, at: Floats) -> Integers:
+    """Index of the first sample that is not before each moment; for many moments faster than looking each one up.
+
+    Parameters
+    ----------
+    t : ndarray, shape (n,)
+        Not decreasing, s.
+    at : ndarray, shape (k,)
+        Not decreasing, s.
+
+    Returns
+    -------
+    ndarray of int, shape (k,)
+        n where all samples are before.
+    """
+    out = np.empty(at.size, dtype=np.int64)
+    _places(np.ascontiguousarray(t), np.ascontiguousarray(at), out)
+    return out
+
+
 def attenuation(frequency: Floats, rate: float = TICK_RATE) -> Floats:
     """Amplitude that the decimation leaves of a vibration.
 

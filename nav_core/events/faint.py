@@ -16,10 +16,10 @@ from nav_core.events.trigger import (
     THRESHOLD,
     Stream,
     Window,
-    first_not_before,
     groups,
 )
 from nav_core.records import Remark
+from nav_core.signal import first_not_before
 from nav_core.typing import Flags
 
 PARKED_CHANGE = FAINTEST

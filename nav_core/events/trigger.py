@@ -102,7 +102,8 @@ class Stream(NamedTuple):
         Stream
             Views of the same arrays; `rest`, `v` and `strongest` are not taken anew.
         """
-        return Stream(*(column[part] for column in self))
+        t, f, step, rest, v = (column[part] for column in (self.t, self.f, self.step, self.rest, self.v))
+        return Stream(t, f, step, rest, v, self.calm[part], self.strongest[part])
 
     def mean(self, begin: float, end: float) -> Floats | None:
         """Mean specific force from..to, box clock, s; None without samples.
@@ -277,36 +278,6 @@ def opening_mean(t: Floats, f: Floats) -> Floats:
     # Wide enough for the vibration of a box that is badly held, too narrow for the start of a blow.
     calm = np.abs(first - first.mean(axis=0)).max() < 0.8 * STANDARD_GRAVITY
     return first.mean(axis=0) if calm else level
-
-
-@kernel
-def _places(t: Floats, at: Floats, out: Integers) -> None:
-    """Set `out` to ``np.searchsorted(t, at)`` of an `at` that does not decrease either: one walk along both."""
-    j = 0
-    for i in range(at.size):
-        while j < t.size and t[j] < at[i]:
-            j += 1
-        out[i] = j
-
-
-def first_not_before(t: Floats, at: Floats) -> Integers:
-    """Index of the first sample that is not before each moment; for many moments faster than looking each one up.
-
-    Parameters
-    ----------
-    t : ndarray, shape (n,)
-        Not decreasing, s.
-    at : ndarray, shape (k,)
-        Not decreasing, s.
-
-    Returns
-    -------
-    ndarray of int, shape (k,)
-        n where all samples are before.
-    """
-    out = np.empty(at.size, dtype=np.int64)
-    _places(np.ascontiguousarray(t), np.ascontiguousarray(at), out)
-    return out
 
 
 @kernel

@@ -22,6 +22,7 @@ from server.jobs.failures import Job, left_alone
 from server.jobs.rerun import Reruns
 from server.jobs.run import FIGURES, Tally, run_job
 from server.jobs.supervise import end_with_parent, parent_fd
+from server.memory import keep_freed_memory
 from server.migrations import serves
 from server.settings import Settings, set_numba_cache_dir
 from server.store import COLLECT_AGE, BlobStore, collect, open_store
@@ -53,6 +54,7 @@ def run(settings: Settings) -> None:
     end_with_parent()
     _check_schema(settings)
     set_numba_cache_dir()
+    keep_freed_memory()
     os.nice(NICENESS)
     stop = threading.Event()
 

@@ -12,7 +12,6 @@ from nav_core.events.trigger import (
     TRIGGER_WINDOW,
     WINDOW,
     _rest,
-    first_not_before,
     groups,
     integrate,
     rest_reference,
@@ -22,6 +21,7 @@ from nav_core.events.trigger import (
     window_around,
 )
 from nav_core.records import Inertial
+from nav_core.signal import first_not_before
 
 G = 9.80665
 
