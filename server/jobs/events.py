@@ -120,7 +120,7 @@ class Events:
 
     def take_in(self, new: Iterable[Batch]) -> None:
         """Look for events in new batches, and revise those whose window they reach into."""
-        for boot, first, last in _stretches(new):
+        for boot, first, last in stretches_of(new):
             self._look(self._situation.boots[boot], first, last)
             self._looked_from[boot] = min(first - BACK_S, self._looked_from.get(boot, first))
 
@@ -401,7 +401,7 @@ def clock_json(boot: Boot) -> dict[str, Any]:
     }
 
 
-def _stretches(new: Iterable[Batch]) -> list[tuple[str, float, float]]:
+def stretches_of(new: Iterable[Batch]) -> list[tuple[str, float, float]]:
     """New batches as stretches of their boots' clocks, those that touch joined."""
     stretches: list[tuple[str, float, float]] = []
     rows = 0
