@@ -119,6 +119,36 @@ class Ticks:
         )
 
 
+@kernel
+def _places(t: Floats, at: Floats, out: Integers) -> None:
+    """Set `out` to ``np.searchsorted(t, at)`` of an `at` that does not decrease either: one walk along both."""
+    j = 0
+    for i in range(at.size):
+        while j < t.size and t[j] < at[i]:
+            j += 1
+        out[i] = j
+
+
+def first_not_before(t: Floats, at: Floats) -> Integers:
+    """Index of the first sample that is not before each moment; for many moments faster than looking each one up.
+
+    Parameters
+    ----------
+    t : ndarray, shape (n,)
+        Not decreasing, s.
+    at : ndarray, shape (k,)
+        Not decreasing, s.
+
+    Returns
+    -------
+    ndarray of int, shape (k,)
+        n where all samples are before.
+    """
+    out = np.empty(at.size, dtype=np.int64)
+    _places(np.ascontiguousarray(t), np.ascontiguousarray(at), out)
+    return out
+
+
 def attenuation(frequency: Floats, rate: float = TICK_RATE) -> Floats:
     """Amplitude that the decimation leaves of a vibration.
 
@@ -147,16 +177,18 @@ def attenuation(frequency: Floats, rate: float = TICK_RATE) -> Floats:
 def _accumulate(t: Floats, f: Floats, rate: float, first: int, weight: Floats, moment: Floats, square: Floats) -> None:
     half = KERNEL_TICKS // 2
     turn = 2.0 * np.pi / KERNEL_TICKS
+    offsets = np.arange(1.0 - half, half + 1.0)
+    cosine, sine = np.cos(turn * offsets), np.sin(turn * offsets)
     for i in range(t.size):
         u = t[i] * rate
         base = int(np.floor(u))
         c, s = np.cos(turn * (u - base)), np.sin(turn * (u - base))
         fx, fy, fz = f[i, 0], f[i, 1], f[i, 2]
         q = fx * fx + fy * fy + fz * fz
-        for j in range(1 - half, half + 1):
-            # cos(turn (u - base - j)) by the addition theorem: one sine and cosine per sample
-            w = 0.5 + 0.5 * (c * np.cos(turn * j) + s * np.sin(turn * j))
-            k = base + j - first
+        for j in range(offsets.size):
+            # cos(turn (u - base - offset)) by the addition theorem: one sine and cosine per sample
+            w = 0.5 + 0.5 * (c * cosine[j] + s * sine[j])
+            k = base + 1 - half + j - first
             weight[k] += w
             moment[k, 0] += w * fx
             moment[k, 1] += w * fy

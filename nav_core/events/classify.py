@@ -14,7 +14,7 @@ from nav_core.events.finding import OVER, SEVERE, TURNED, Finding
 from nav_core.events.record import EventKind
 from nav_core.events.scene import CARRIED, MOVES, Scene, restless
 from nav_core.events.signs import Around, Signs, core_of, peak_of, signs_of, speed_seen, window_at
-from nav_core.events.trigger import MULTI_EVENT, TRIGGER, TRIGGER_WINDOW, Window, groups, strongest_change
+from nav_core.events.trigger import MULTI_EVENT, TRIGGER, TRIGGER_WINDOW, Window, groups
 from nav_core.records import Remark
 from nav_core.typing import Integers
 
@@ -41,13 +41,13 @@ def find(scene: Scene) -> list[Finding]:
     stream = scene.stream
     if stream.t.size < 4:
         return []
-    violent = strongest_change(stream)
+    violent = stream.strongest
     found: list[Finding] = []
     for first, last in groups(violent >= TRIGGER, stream.t, TOGETHER):
         flagged = first + np.flatnonzero(violent[first : last + 1] >= TRIGGER)
         found += _judged_together(scene, _windows(scene, flagged), found)
     found += swipes(scene, found)
-    found += bumps(scene, violent, found)
+    found += bumps(scene, found)
     found += tilted(scene, found)
     found += shocks(scene, found)
     return sorted(found, key=lambda each: each.window.zero)

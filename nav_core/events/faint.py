@@ -11,17 +11,18 @@ from nav_core.events.scene import MOVES, STANDS, STILL, Scene, scatter_of
 from nav_core.events.signs import Around, core_of, peak_of, signs_of, window_at
 from nav_core.events.trigger import (
     AFTER_END,
+    FAINTEST,
     MULTI_EVENT,
     THRESHOLD,
     Stream,
     Window,
-    first_not_before,
     groups,
 )
 from nav_core.records import Remark
-from nav_core.typing import Flags, Floats
+from nav_core.signal import first_not_before
+from nav_core.typing import Flags
 
-PARKED_CHANGE = 0.45
+PARKED_CHANGE = FAINTEST
 """Change within 150 ms that makes a bump at standstill, m/s: a door slam stays under a third of it."""
 
 SWIPE_CHANGE = 1.25
@@ -103,15 +104,13 @@ def _off_the_bend(stream: Stream, window: Window) -> float:
     return abs(change - (float(np.mean(bend)) if bend else 0.0) * (t_end - t0))
 
 
-def bumps(scene: Scene, violent: Floats, found: list[Finding]) -> list[Finding]:
+def bumps(scene: Scene, found: list[Finding]) -> list[Finding]:
     """Bumps of a parked vehicle, below the trigger.
 
     Parameters
     ----------
     scene : Scene
         A recording, V axes.
-    violent : ndarray, shape (n,)
-        Horizontal change of velocity within the next 150 ms at each sample, m/s.
     found : list of Finding
         So far; nothing is found again close to them.
 
@@ -122,7 +121,7 @@ def bumps(scene: Scene, violent: Floats, found: list[Finding]) -> list[Finding]:
     """
     stream = scene.stream
     out: list[Finding] = []
-    loud = (violent >= PARKED_CHANGE) & _free(stream, found, 1.0)
+    loud = (stream.strongest >= PARKED_CHANGE) & _free(stream, found, 1.0)
     for first, last in groups(loud, stream.t, 0.5):
         if not scene.stands_before(float(stream.t[first]) - 0.1):
             continue

@@ -21,6 +21,12 @@ TRIGGER = 8.0 * KMH
 
 TRIGGER_WINDOW = 0.150
 
+FAINTEST = 0.15
+"""No change smaller than this within `TRIGGER_WINDOW` is looked at, m/s: a bump of a parked vehicle."""
+
+BLOCK = 64
+"""Samples that are ruled out together."""
+
 THRESHOLD = 0.8 * KMH
 """Change within `WINDOW` that starts an event; at most this much ends it (§563.5), m/s and s."""
 
@@ -56,6 +62,8 @@ class Stream(NamedTuple):
         Running integral of ``f - rest``, m/s.
     calm : ndarray of bool, shape (n,)
         Samples outside of anything that meets the trigger; only those are in `rest`.
+    strongest : ndarray, shape (n,)
+        `strongest_change`.
     """
 
     t: Floats
@@ -64,6 +72,7 @@ class Stream(NamedTuple):
     rest: Floats
     v: Floats
     calm: Flags
+    strongest: Floats
 
     def at(self, t: Floats) -> Floats:
         """`v` between the samples, shape (k, 3).
@@ -91,9 +100,10 @@ class Stream(NamedTuple):
         Returns
         -------
         Stream
-            Views of the same arrays; `rest` and `v` are not taken anew.
+            Views of the same arrays; `rest`, `v` and `strongest` are not taken anew.
         """
-        return Stream(self.t[part], self.f[part], self.step[part], self.rest[part], self.v[part], self.calm[part])
+        t, f, step, rest, v = (column[part] for column in (self.t, self.f, self.step, self.rest, self.v))
+        return Stream(t, f, step, rest, v, self.calm[part], self.strongest[part])
 
     def mean(self, begin: float, end: float) -> Floats | None:
         """Mean specific force from..to, box clock, s; None without samples.
@@ -133,15 +143,17 @@ def stream_of(inertial: Inertial, R_va: Floats) -> Stream:
         usual = float(np.median(step[1:]))
         step[step > max(5.0 * usual, 0.1)] = 0.0
     calm = np.ones(t.size, dtype=np.bool_)
-    rest = _rest(t, f, calm)
-    stream = Stream(t, f, step, rest, integrate(f - rest, step), calm)
-    violent = np.flatnonzero(strongest_change(stream) >= TRIGGER)
-    if violent.size == 0:
-        return stream
+    stream = _integrated(t, f, step, calm)
+    violent = np.flatnonzero(stream.strongest >= TRIGGER)
     # What follows a blow must not be judged against a mean that holds the blow.
-    calm = _calm(t, violent)
+    return stream if violent.size == 0 else _integrated(t, f, step, _calm(t, violent))
+
+
+def _integrated(t: Floats, f: Floats, step: Floats, calm: Flags) -> Stream:
+    """The stream of a force and of the samples that its running mean is taken from."""
     rest = _rest(t, f, calm)
-    return Stream(t, f, step, rest, integrate(f - rest, step), calm)
+    v = integrate(f - rest, step)
+    return Stream(t, f, step, rest, v, calm, strongest_change(t, v))
 
 
 def _calm(t: Floats, violent: Integers) -> Flags:
@@ -166,10 +178,16 @@ def integrate(a: Floats, step: Floats) -> Floats:
     ndarray, shape (n, k)
         That unit times s.
     """
-    middle = np.empty_like(a)
-    middle[:1] = 0.0
-    middle[1:] = 0.5 * (a[1:] + a[:-1])
-    return np.cumsum(middle * step[:, None], axis=0)
+    out = np.zeros(a.shape)
+    _add_up(np.ascontiguousarray(a), np.ascontiguousarray(step), out)
+    return out
+
+
+@kernel
+def _add_up(a: Floats, step: Floats, out: Floats) -> None:
+    for i in range(1, a.shape[0]):
+        for axis in range(a.shape[1]):
+            out[i, axis] = out[i - 1, axis] + 0.5 * (a[i, axis] + a[i - 1, axis]) * step[i]
 
 
 @kernel
@@ -263,42 +281,35 @@ def opening_mean(t: Floats, f: Floats) -> Floats:
 
 
 @kernel
-def _places(t: Floats, at: Floats, out: Integers) -> None:
-    """Set `out` to ``np.searchsorted(t, at)`` of an `at` that does not decrease either: one walk along both."""
-    j = 0
-    for i in range(at.size):
-        while j < t.size and t[j] < at[i]:
-            j += 1
-        out[i] = j
-
-
-def first_not_before(t: Floats, at: Floats) -> Integers:
-    """Index of the first sample that is not before each moment; for many moments faster than looking each one up.
-
-    Parameters
-    ----------
-    t : ndarray, shape (n,)
-        Not decreasing, s.
-    at : ndarray, shape (k,)
-        Not decreasing, s.
-
-    Returns
-    -------
-    ndarray of int, shape (k,)
-        n where all samples are before.
-    """
-    out = np.empty(at.size, dtype=np.int64)
-    _places(np.ascontiguousarray(t), np.ascontiguousarray(at), out)
-    return out
+def _lively(t: Floats, v: Floats, window: float, floor: float, begin: int) -> bool:
+    """Whether any change of `v` within a window that begins in the block from `begin` on could reach `floor`."""
+    stop = min(begin + BLOCK, t.size)
+    until = t[stop - 1] + window
+    low_x = high_x = v[begin, 0]
+    low_y = high_y = v[begin, 1]
+    for i in range(begin, t.size):
+        low_x, high_x = min(low_x, v[i, 0]), max(high_x, v[i, 0])
+        low_y, high_y = min(low_y, v[i, 1]), max(high_y, v[i, 1])
+        if i >= stop - 1 and t[i] >= until:
+            break
+    return high_x - low_x + (high_y - low_y) >= floor
 
 
 @kernel
-def _strongest(t: Floats, v: Floats, windows: Floats, best: Floats) -> None:
-    """Raise `best` to the largest horizontal change of `v` over any of the windows that begin at each sample."""
+def _strongest(t: Floats, v: Floats, windows: Floats, floor: float, best: Floats) -> None:
+    """Raise `best` to the largest horizontal change of `v` over any of the windows that begin at each sample.
+
+    Blocks in which nothing reaches `floor` keep their zeros; the windows are in order, the longest is the last.
+    """
     last = t.size - 1
+    lively = np.empty(t.size // BLOCK + 1, dtype=np.bool_)
+    for block in range((t.size + BLOCK - 1) // BLOCK):
+        lively[block] = _lively(t, v, windows[-1], floor, block * BLOCK)
     for window in windows:
         j = 0
         for i in range(t.size):
+            if not lively[i // BLOCK]:
+                continue
             until = t[i] + window
             while j < last and t[j] < until:
                 j += 1
@@ -332,9 +343,9 @@ def strongest_reference(t: Floats, v: Floats, windows: Floats) -> Floats:
     return best
 
 
-def _changes(stream: Stream, windows: Floats) -> Floats:
-    best = np.zeros(stream.t.size)
-    _strongest(np.ascontiguousarray(stream.t), np.ascontiguousarray(stream.v), windows, best)
+def _changes(t: Floats, v: Floats, windows: Floats, floor: float = 0.0) -> Floats:
+    best = np.zeros(t.size)
+    _strongest(np.ascontiguousarray(t), np.ascontiguousarray(v), windows, floor, best)
     return best
 
 
@@ -353,25 +364,29 @@ def change_within(stream: Stream, window: float) -> Floats:
     ndarray, shape (n,)
         m/s.
     """
-    return _changes(stream, np.array([window]))
+    return _changes(stream.t, stream.v, np.array([window]))
 
 
-def strongest_change(stream: Stream) -> Floats:
+def strongest_change(t: Floats, v: Floats, floor: float = FAINTEST) -> Floats:
     """Largest horizontal change within `TRIGGER_WINDOW` of each sample, m/s, shape (n,).
 
     A pulse may be over before the window is: shorter windows are looked at as well.
 
     Parameters
     ----------
-    stream : Stream
-        V axes.
+    t : ndarray, shape (n,)
+        Not decreasing, s.
+    v : ndarray, shape (n, 3)
+        Integral of the specific force off its surroundings, V axes, m/s.
+    floor : float
+        Changes below this may be given as 0, m/s: most of a drive is quiet, and is told so quickly.
 
     Returns
     -------
     ndarray, shape (n,)
         m/s.
     """
-    return _changes(stream, np.array([0.2, 0.4, 0.6, 0.8, 1.0]) * TRIGGER_WINDOW)
+    return _changes(t, v, np.array([0.2, 0.4, 0.6, 0.8, 1.0]) * TRIGGER_WINDOW, floor)
 
 
 def groups(flags: Flags, t: Floats, apart: float) -> list[tuple[int, int]]:

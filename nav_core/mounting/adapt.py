@@ -14,10 +14,10 @@ from dataclasses import replace
 import numpy as np
 
 from nav_core.mounting.model import Noise
-from nav_core.mounting.pitch_plane import pitch_plane
+from nav_core.mounting.pitch_plane import along_of, pitch_plane
 from nav_core.mounting.stretch import Record
-from nav_core.mounting.whitening import whiten
-from nav_core.mounting.yaw_plane import yaw_plane
+from nav_core.mounting.whitening import Channel, at_point, whiten
+from nav_core.mounting.yaw_plane import across_of, yaw_plane
 from nav_core.typing import Floats
 
 _LADDER = (1.0, 1.5, 2.2, 3.3, 5.0, 8.0)
@@ -60,17 +60,21 @@ def adapted(record: Record, R_va: Floats, lags: tuple[float, float], noise: Nois
     """
     block = np.zeros(record.fixes.t.size, dtype=np.int64)
 
-    def pitch_cost(trial: Noise) -> float:
-        evidence = whiten(pitch_plane(record, R_va, lags[0], trial), block, 1, p, limit=limit)
+    along, across = along_of(record, R_va, lags[0]), across_of(record, R_va, lags)
+
+    def cost(channel: Channel) -> float:
+        evidence = whiten(at_point(channel, p), block, 1, p, limit=limit)
         return float((evidence.misfit(p) + evidence.log_det).sum())
+
+    def pitch_cost(trial: Noise) -> float:
+        return cost(pitch_plane(record, R_va, lags[0], trial, along))
 
     def yaw_cost(trial: Noise) -> float:
-        evidence = whiten(yaw_plane(record, R_va, lags, trial), block, 1, p, limit=limit)
-        return float((evidence.misfit(p) + evidence.log_det).sum())
+        return cost(yaw_plane(record, R_va, lags, trial, across))
 
     found = noise
-    for groups, cost in ((_PITCH_LEVELS, pitch_cost), (_YAW_LEVELS, yaw_cost)):
-        found = _climb(found, noise, groups, cost)
+    for groups, of_trial in ((_PITCH_LEVELS, pitch_cost), (_YAW_LEVELS, yaw_cost)):
+        found = _climb(found, noise, groups, of_trial)
     return found
 
 

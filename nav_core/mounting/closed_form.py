@@ -12,10 +12,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from nav_core.mounting.echo import echo
 from nav_core.mounting.model import LONGEST_STEP, Noise, turned
 from nav_core.mounting.pitch_plane import HEIGHT, V, pitch_system
 from nav_core.mounting.stretch import Record, Steps, at, integrate, rough_share, steps_of
-from nav_core.mounting.whitening import Channel, echo, whiten
+from nav_core.mounting.whitening import Channel, whiten
 from nav_core.mounting.yaw_plane import yaw_system
 from nav_core.typing import Floats
 

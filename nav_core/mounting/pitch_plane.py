@@ -5,6 +5,8 @@ Signs and the idea are those of `nav_core.mounting.model`.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from nav_core.mounting.model import (
@@ -34,7 +36,7 @@ from nav_core.mounting.stretch import (
     smoothed,
     steps_of,
 )
-from nav_core.mounting.whitening import Channel
+from nav_core.mounting.whitening import Channel, matrices
 from nav_core.typing import Floats
 
 # States of the pitch plane.
@@ -80,13 +82,6 @@ def pitch_system(
     fixes = record.fixes
     count = fixes.t.size
     elapsed = np.diff(steps.when, prepend=steps.when[:1])
-    Phi, Q = np.zeros((count, 10, 10)), np.zeros((count, 10, 10))
-    steady = (V, CLIMB, HEIGHT, DRIFT_X, DRIFT_Z)
-    Phi[:, steady, steady] = 1.0
-    Phi[:, V, DRIFT_X] = Phi[:, CLIMB, DRIFT_Z] = -steps.dt
-    Q[:, DRIFT_X, DRIFT_X] = Q[:, DRIFT_Z, DRIFT_Z] = noise.drift**2 * elapsed
-    Phi[1:, CLIMB, SLOPE] = -np.diff(fixes.speed)
-    Phi[:, CLIMB, TILT] = -swing
     # Critically damped second-order Gauss-Markov process along the distance.
     beta = 1.0 / noise.slope_length
     d = steps.distance
@@ -96,25 +91,58 @@ def pitch_system(
     z = np.maximum(beta * d, 1e-3)
     of_slope = (2.0 - (2.0 + z) * np.exp(-z)) / z
     of_curve = d * (1.0 - (1.0 + z) * np.exp(-z)) / z**2
-    Phi[:, V, SLOPE], Phi[:, V, CURVE] = -GRAVITY * steps.dt * of_slope, -GRAVITY * steps.dt * of_curve
-    Phi[:, HEIGHT, SLOPE], Phi[:, HEIGHT, CURVE] = d * of_slope, d * of_curve
-    Phi[:, SLOPE, SLOPE], Phi[:, SLOPE, CURVE] = decay * (1.0 + beta * d), decay * d
-    Phi[:, CURVE, SLOPE], Phi[:, CURVE, CURVE] = -(beta**2) * d * decay, decay * (1.0 - beta * d)
-    rest = np.diag([noise.slope**2, (beta * noise.slope) ** 2])
-    block = Phi[:, SLOPE : CURVE + 1, SLOPE : CURVE + 1]
-    Q[:, SLOPE : CURVE + 1, SLOPE : CURVE + 1] = rest - block @ rest @ np.swapaxes(block, 1, 2)
+    # Slope and curvature after the step, per slope and per curvature before it.
+    ss, sc = decay * (1.0 + beta * d), decay * d
+    cs, cc = -(beta**2) * d * decay, decay * (1.0 - beta * d)
+    slope, curve = noise.slope**2, (beta * noise.slope) ** 2
     along = np.exp(-d / noise.bank_length)
-    Phi[:, TILT, TILT], Q[:, TILT, TILT] = along, (1.0 - along**2) * noise.bank**2
-    decay, fresh = first_order(elapsed, noise.slow_time)
-    Phi[:, SPEED_ERROR, SPEED_ERROR], Q[:, SPEED_ERROR, SPEED_ERROR] = decay, fresh * noise.speed_slow**2
-    decay, fresh = first_order(elapsed, noise.height_time)
-    Phi[:, HEIGHT_ERROR, HEIGHT_ERROR], Q[:, HEIGHT_ERROR, HEIGHT_ERROR] = decay, fresh * noise.height_slow**2
+    speed_kept, speed_fresh = first_order(elapsed, noise.slow_time)
+    height_kept, height_fresh = first_order(elapsed, noise.height_time)
+    steady = dict.fromkeys([(state, state) for state in (V, CLIMB, HEIGHT, DRIFT_X, DRIFT_Z)], 1.0)
+    Phi = matrices(
+        count,
+        10,
+        {
+            **steady,
+            (V, DRIFT_X): -steps.dt,
+            (CLIMB, DRIFT_Z): -steps.dt,
+            (CLIMB, SLOPE): -np.diff(fixes.speed, prepend=fixes.speed[:1]),
+            (CLIMB, TILT): -swing,
+            (V, SLOPE): -GRAVITY * steps.dt * of_slope,
+            (V, CURVE): -GRAVITY * steps.dt * of_curve,
+            (HEIGHT, SLOPE): d * of_slope,
+            (HEIGHT, CURVE): d * of_curve,
+            (SLOPE, SLOPE): ss,
+            (SLOPE, CURVE): sc,
+            (CURVE, SLOPE): cs,
+            (CURVE, CURVE): cc,
+            (TILT, TILT): along,
+            (SPEED_ERROR, SPEED_ERROR): speed_kept,
+            (HEIGHT_ERROR, HEIGHT_ERROR): height_kept,
+        },
+    )
     lost = np.where(steps.broken, 1e4, 0.0)
     shaken = noise.force**2 * steps.dt + grain
-    Q[:, V, V] = shaken + (noise.relative * change) ** 2 + lost
-    Q[:, CLIMB, CLIMB] = shaken + lost
-    # Over a long gap the vehicle may have got anywhere, by a ramp, a train, or a reset of the receiver.
-    Q[:, HEIGHT, HEIGHT] = (0.02 * steps.distance) ** 2 * steps.broken + np.where(elapsed > LONGEST_STEP, 1e4, 0.0)
+    mixed = -(ss * slope * cs + sc * curve * cc)
+    Q = matrices(
+        count,
+        10,
+        {
+            (DRIFT_X, DRIFT_X): noise.drift**2 * elapsed,
+            (DRIFT_Z, DRIFT_Z): noise.drift**2 * elapsed,
+            (SLOPE, SLOPE): slope - (ss * slope * ss + sc * curve * sc),
+            (SLOPE, CURVE): mixed,
+            (CURVE, SLOPE): mixed,
+            (CURVE, CURVE): curve - (cs * slope * cs + cc * curve * cc),
+            (TILT, TILT): (1.0 - along**2) * noise.bank**2,
+            (SPEED_ERROR, SPEED_ERROR): speed_fresh * noise.speed_slow**2,
+            (HEIGHT_ERROR, HEIGHT_ERROR): height_fresh * noise.height_slow**2,
+            (V, V): shaken + (noise.relative * change) ** 2 + lost,
+            (CLIMB, CLIMB): shaken + lost,
+            # Over a long gap the vehicle may have got anywhere, by a ramp, a train, or a reset of the receiver.
+            (HEIGHT, HEIGHT): (0.02 * d) ** 2 * steps.broken + np.where(elapsed > LONGEST_STEP, 1e4, 0.0),
+        },
+    )
     H = np.zeros((count, 3, 10))
     H[:, 0, V] = H[:, 0, SPEED_ERROR] = 1.0
     H[:, 1, HEIGHT] = H[:, 1, HEIGHT_ERROR] = 1.0
@@ -164,7 +192,44 @@ def road_slope(record: Record, felt: Floats, *, fine: float = 2.0, coarse: float
     return waves - smoothed(record, waves, coarse) + np.interp(record.t, fixes.t, rise)
 
 
-def pitch_plane(record: Record, R_va: Floats, lag: float, noise: Noise) -> Channel:
+class Along(NamedTuple):
+    """What the ticks say of the pitch plane from fix to fix, whatever the noise levels."""
+
+    steps: Steps
+    w: Floats
+    """Turn rate at the fixes, rad/s, shape (n,)."""
+    total: Floats
+    """Specific force and its companions integrated over each step, shape (n, 9)."""
+
+
+def along_of(record: Record, R_va: Floats, lag: float) -> Along:
+    """The part of `pitch_plane` that does not depend on the noise levels.
+
+    Parameters
+    ----------
+    record : Record
+    R_va : ndarray, shape (3, 3)
+        Present estimate.
+    lag : float
+        Present estimate of the lag of GPS speed, s.
+
+    Returns
+    -------
+    Along
+    """
+    steps = steps_of(record, lag)
+    frame = turned(record, R_va, lag)
+    fixes = record.fixes
+    acceleration = gps_rate(fixes.t, fixes.speed)
+    pushed = np.interp(record.t + lag, fixes.t, acceleration)
+    quadratic = np.column_stack([pushed**2, frame.lateral**2, pushed * np.abs(pushed)]) / GRAVITY
+    slope = road_slope(record, (frame.f[:, 0] - pushed) / GRAVITY)
+    felt = np.column_stack([frame.f, quadratic, frame.w**2, 0.5 * GRAVITY * slope**2, record.density])
+    total = per_step(at(record, steps.when, integrate(record, felt)), steps.broken)
+    return Along(steps, at(record, steps.when, frame.w), total)
+
+
+def pitch_plane(record: Record, R_va: Floats, lag: float, noise: Noise, along: Along | None = None) -> Channel:
     """Speed, climb and height against longitudinal and vertical specific force.
 
     Parameters
@@ -175,23 +240,18 @@ def pitch_plane(record: Record, R_va: Floats, lag: float, noise: Noise) -> Chann
     lag : float
         Present estimate of the lag of GPS speed, s.
     noise : Noise
+    along : Along, optional
+        `along_of` of the same record, mounting and lag, where it is known already.
 
     Returns
     -------
     Channel
         Measurements: GPS speed, GPS height, and "climb is speed times slope".
     """
-    steps = steps_of(record, lag)
-    frame = turned(record, R_va, lag)
+    steps, w, total = along or along_of(record, R_va, lag)
     c = 1 + UNKNOWNS
     fixes = record.fixes
-    acceleration = gps_rate(fixes.t, fixes.speed)
-    pushed = np.interp(record.t + lag, fixes.t, acceleration)
-    quadratic = np.column_stack([pushed**2, frame.lateral**2, pushed * np.abs(pushed)]) / GRAVITY
-    slope = road_slope(record, (frame.f[:, 0] - pushed) / GRAVITY)
-    felt = np.column_stack([frame.f, quadratic, frame.w**2, 0.5 * GRAVITY * slope**2, record.density])
-    total = per_step(at(record, steps.when, integrate(record, felt)), steps.broken)
-    U = np.zeros((steps.when.size, 2, c))
+    U = np.zeros((2, c, steps.when.size)).transpose(2, 0, 1)  # filled column by column
     keep = 1.0 - noise.pitch_gain[0]
     U[:, 0, 0] = keep * total[:, 0] + noise.lever[0] * total[:, 6]
     U[:, 0, 1 + 1], U[:, 0, 1 + 2] = keep * total[:, 2], -keep * total[:, 1]
@@ -212,10 +272,10 @@ def pitch_plane(record: Record, R_va: Floats, lag: float, noise: Noise) -> Chann
     U[:, 1, 1 + PITCH_GAIN], U[:, 1, 1 + ROLL_GAIN] = -total[:, 3], -total[:, 4]
     U[:, 1, 1 + UNLIKE_GAIN] = -total[:, 5]
     P0, Phi, Q, H, r = pitch_system(record, steps, noise, total[:, 0], total[:, 1], total[:, 8])
-    Y = np.zeros((steps.when.size, 3, c))
+    Y = np.zeros((3, c, steps.when.size)).transpose(2, 0, 1)
     Y[:, 0, 0], Y[:, 1, 0] = fixes.speed, np.nan_to_num(fixes.alt)
     Y[:, 0, 1 + SPEED_LAG] = change
-    Y[:, 0, 1 + ANTENNA_Y] = at(record, steps.when, frame.w)
+    Y[:, 0, 1 + ANTENNA_Y] = w
     x0 = np.zeros(10)
     x0[V] = fixes.speed[0]
     x0[HEIGHT] = Y[0, 1, 0]

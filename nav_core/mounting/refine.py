@@ -8,10 +8,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from nav_core.mounting.closed_form import Start
+from nav_core.mounting.echo import echo
 from nav_core.mounting.model import BIAS, COURSE_LAG, MILLI_G, SPEED_LAG, TURN, UNKNOWNS, Noise, prior
 from nav_core.mounting.pitch_plane import pitch_plane
 from nav_core.mounting.stretch import Record, blocks_of
-from nav_core.mounting.whitening import Evidence, echo, whiten
+from nav_core.mounting.whitening import Channel, Evidence, whiten
 from nav_core.mounting.yaw_plane import yaw_plane
 from nav_core.typing import Floats
 
@@ -119,10 +120,19 @@ def weigh(
     Evidence
         By stretches of `BLOCK` seconds; k = 4: speed, height, climb, course.
     """
+    return _weighed(record, _planes(record, R_va, lags, noise), p, limit, restart=restart)
+
+
+def _planes(record: Record, R_va: Floats, lags: tuple[float, float], noise: Noise) -> tuple[Channel, Channel]:
+    return pitch_plane(record, R_va, lags[0], noise), yaw_plane(record, R_va, lags, noise)
+
+
+def _weighed(
+    record: Record, planes: tuple[Channel, Channel], p: Floats, limit: float, *, restart: bool = False
+) -> Evidence:
     block = blocks_of(record.fixes.t, record.fixes.t[0], BLOCK)
     count = int(block[-1]) + 1
-    pitch = whiten(pitch_plane(record, R_va, lags[0], noise), block, count, p, limit=limit, restart=restart)
-    yaw = whiten(yaw_plane(record, R_va, lags, noise), block, count, p, limit=limit, restart=restart)
+    pitch, yaw = (whiten(plane, block, count, p, limit=limit, restart=restart) for plane in planes)
     return Evidence(*(np.concatenate(pair, axis=1) for pair in zip(pitch, yaw, strict=True)))
 
 
@@ -176,15 +186,16 @@ LEAST_SHARE = 0.05
 """Of the evidence for a turn that is taken for signal when it looks like nothing but noise."""
 
 
-def _informative(record: Record, R_va: Floats, lags: tuple[float, float], noise: Noise, gram: Floats) -> Floats:
+def _informative(planes: tuple[Channel, Channel], gram: Floats) -> Floats:
     """Root of the share of each column's evidence that is signal, shape (15,); see `echo`.
 
     A turn about x acts through the lateral force on the climb and the vertical one on the course; about
     y through the vertical one on the speed and the longitudinal one on the climb; about z through the
     lateral one on the speed and the longitudinal one on the course.
     """
-    along, climb = echo(pitch_plane(record, R_va, lags[0], noise))
-    (across,) = echo(yaw_plane(record, R_va, lags, noise))
+    pitch, yaw = planes
+    along, climb = echo(pitch)
+    (across,) = echo(yaw)
     noisy = np.array([climb + across, along + climb, along + across])
     share = np.ones(1 + UNKNOWNS)
     share[1:4] = np.sqrt(np.clip(1.0 - noisy / np.maximum(np.diag(gram)[1:4], 1e-12), LEAST_SHARE, 1.0))
@@ -212,7 +223,8 @@ def refine(record: Record, start: Start, noise: Noise, p: Floats | None = None) 
     at[TURN] = at[[SPEED_LAG, COURSE_LAG]] = 0.0
     number = 0
     while True:
-        evidence = weigh(record, R_va, lags, noise, at, HUBER if number or p is not None else np.inf)
+        planes = _planes(record, R_va, lags, noise)
+        evidence = _weighed(record, planes, at, HUBER if number or p is not None else np.inf)
         gram = evidence.gram.sum((0, 1))
         suited = likely_bias(noise, gram, lags)
         diagonal, mean = prior(suited, lags)
@@ -226,7 +238,7 @@ def refine(record: Record, start: Start, noise: Noise, p: Floats | None = None) 
         R_va = Rotation.from_rotvec(turn).as_matrix() @ R_va
         lags = (float(np.clip(lags[0] + shift[0], 0.0, MAX_LAG)), float(np.clip(lags[1] + shift[1], 0.0, MAX_LAG)))
         at[TURN] = at[[SPEED_LAG, COURSE_LAG]] = 0.0
-    share = _informative(record, R_va, lags, suited, gram)
+    share = _informative(planes, gram)  # the bias alone is suited otherwise, and no plane depends on that
     return Fit(
         R_va=R_va,
         p=at,

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.special import erf
 
 from nav_core.records import Gnss
-from nav_core.signal import KERNEL_TICKS, Ticks
+from nav_core.signal import KERNEL_TICKS, Ticks, first_not_before
 from nav_core.timebase import stale
 from nav_core.typing import Flags, Floats, Integers
 
@@ -181,8 +181,8 @@ def smoothed(record: Record, values: Floats, reach: float) -> Floats:
         In that unit.
     """
     total = np.concatenate([[0.0], np.cumsum(values)])
-    first = np.searchsorted(record.t, record.t - reach)
-    last = np.searchsorted(record.t, record.t + reach, side="right")
+    first = first_not_before(record.t, record.t - reach)
+    last = first_not_before(record.t, np.nextafter(record.t + reach, np.inf))
     return (total[last] - total[first]) / (last - first)
 
 

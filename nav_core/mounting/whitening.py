@@ -80,12 +80,45 @@ class Evidence(NamedTuple):
         return self.gram @ e @ e
 
 
+Sizes = tuple[float, ...]
+"""A vector as a tuple: its length is part of its type, so kernels are compiled for it and their loops unrolled."""
+
+
 @kernel
-def _predict(  # noqa: C901, PLR0912  unrolled products that skip zeros
-    Phi: Floats, Q: Floats, X: Floats, P: Floats, carried: Floats, half: Floats
+def _lay(places: Integers, values: Floats, out: Floats) -> None:
+    for i in range(out.shape[0]):
+        for e in range(places.shape[0]):
+            out[i, places[e, 0], places[e, 1]] = values[e, i]
+
+
+def matrices(count: int, size: int, entries: dict[tuple[int, int], Floats | float]) -> Floats:
+    """A matrix for each step, zero but for some entries; written step by step, as the filter reads it.
+
+    Parameters
+    ----------
+    count, size : int
+        Of steps; of rows and columns.
+    entries : dict of (int, int) to ndarray, shape (count,), or float
+        By row and column.
+
+    Returns
+    -------
+    ndarray, shape (count, size, size)
+    """
+    out = np.zeros((count, size, size))
+    values = np.empty((len(entries), count))
+    for e, value in enumerate(entries.values()):
+        values[e] = value
+    _lay(np.array(list(entries)), values, out)
+    return out
+
+
+@kernel
+def predict(  # noqa: C901, PLR0912  unrolled products that skip zeros
+    Phi: Floats, Q: Floats, X: Floats, P: Floats, carried: Floats, half: Floats, x0: Sizes, weights: Sizes
 ) -> None:
-    """``X <- Phi X``, ``P <- Phi P Phi' + Q`` in place; most of Phi is zero."""
-    n, c = X.shape
+    """``X <- Phi X``, ``P <- Phi P Phi' + Q`` in place; most of Phi is zero.  The tuples tell the sizes."""
+    n, c = len(x0), len(weights)
     for a in range(n):
         for j in range(c):
             carried[a, j] = 0.0
@@ -117,7 +150,8 @@ def _correct(  # noqa: C901, PLR0912  unrolled products that skip zeros
     y: Floats,
     r: float,
     period: float,
-    p: Floats,
+    x0: Sizes,
+    weights: Sizes,
     limit: float,
     X: Floats,
     P: Floats,
@@ -125,7 +159,7 @@ def _correct(  # noqa: C901, PLR0912  unrolled products that skip zeros
     Ph: Floats,
 ) -> float:
     """One scalar measurement: fills the innovation `e`, updates X and P, gives the variance used."""
-    n, c = X.shape
+    n, c = len(x0), len(weights)
     for a in range(n):
         Ph[a] = 0.0
     for j in range(c):
@@ -142,7 +176,7 @@ def _correct(  # noqa: C901, PLR0912  unrolled products that skip zeros
         variance += h[a] * Ph[a]
     residual = e[0]
     for j in range(1, c):
-        residual += e[j] * p[j - 1]
+        residual += e[j] * weights[j]
     if period > 0.0:
         turns = period * np.round(residual / period)
         e[0] -= turns
@@ -161,7 +195,7 @@ def _correct(  # noqa: C901, PLR0912  unrolled products that skip zeros
 
 @kernel
 def _whiten(
-    x0: Floats,
+    x0: Sizes,
     P0: Floats,
     Phi: Floats,
     Q: Floats,
@@ -172,15 +206,14 @@ def _whiten(
     r: Floats,
     period: Floats,
     block: Integers,
-    p: Floats,
+    weights: Sizes,
     limit: float,
     restart: bool,
     gram: Floats,
     number: Floats,
     log_det: Floats,
 ) -> None:
-    steps, n = Phi.shape[0], Phi.shape[1]
-    k, c = Y.shape[1], Y.shape[2]
+    steps, n, k, c = Phi.shape[0], len(x0), Y.shape[1], len(weights)
     X, carried = np.zeros((n, c)), np.zeros((n, c))
     P, half = np.zeros((n, n)), np.zeros((n, n))
     e, Ph = np.zeros(c), np.zeros(n)
@@ -188,15 +221,16 @@ def _whiten(
         z = block[i]
         if i == 0 or (restart and z != block[i - 1]):
             X[:, :] = 0.0
-            X[:, 0] = x0
+            for a in range(n):
+                X[a, 0] = x0[a]
             P[:, :] = P0
-        _predict(Phi[i], Q[i], X, P, carried, half)
+        predict(Phi[i], Q[i], X, P, carried, half, x0, weights)
         for d in range(driven.size):
             for j in range(c):
                 X[driven[d], j] += U[i, d, j]
         for m in range(k):
             if np.isfinite(r[i, m]):
-                variance = _correct(H[i, m], Y[i, m], r[i, m], period[m], p, limit, X, P, e, Ph)
+                variance = _correct(H[i, m], Y[i, m], r[i, m], period[m], x0, weights, limit, X, P, e, Ph)
                 for a in range(c):
                     scaled = e[a] / variance
                     for j in range(a + 1):
@@ -238,7 +272,7 @@ def whiten(
     gram, number, log_det = np.zeros((blocks, k, c, c)), np.zeros((blocks, k)), np.zeros((blocks, k))
     whole = np.ascontiguousarray  # one compiled form for every layout
     _whiten(
-        whole(channel.x0),
+        tuple(channel.x0.tolist()),
         whole(channel.P0),
         whole(channel.Phi),
         whole(channel.Q),
@@ -249,7 +283,7 @@ def whiten(
         whole(channel.r),
         whole(channel.period),
         block,
-        whole(p[channel.unknowns]),
+        (1.0, *p[channel.unknowns].tolist()),
         float(limit),
         restart,
         gram,
@@ -260,69 +294,23 @@ def whiten(
     return Evidence(_spread(gram, channel.unknowns, p.size), number, log_det)
 
 
-@kernel
-def _echo(  # noqa: C901  unrolled products that skip zeros
-    P0: Floats,
-    Phi: Floats,
-    Q: Floats,
-    H: Floats,
-    r: Floats,
-    state: int,
-    grain: Floats,
-) -> float:
-    steps, n = Phi.shape[0], Phi.shape[1]
-    X = np.zeros((n, 0))
-    P, G, half = P0.copy(), np.zeros((n, n)), np.zeros((n, n))
-    Ph, Gh = np.zeros(n), np.zeros(n)
-    nothing = np.zeros((n, n))
-    power = 0.0
-    for i in range(steps):
-        _predict(Phi[i], Q[i], X, P, X, half)
-        _predict(Phi[i], nothing, X, G, X, half)
-        G[state, state] += grain[i]
-        for m in range(H.shape[1]):
-            if np.isfinite(r[i, m]):
-                h = H[i, m]
-                s, g = r[i, m], 0.0
-                for a in range(n):
-                    Ph[a] = Gh[a] = 0.0
-                for b in range(n):
-                    if h[b] != 0.0:
-                        for a in range(n):
-                            Ph[a] += P[a, b] * h[b]
-                            Gh[a] += G[a, b] * h[b]
-                for a in range(n):
-                    s += h[a] * Ph[a]
-                    g += h[a] * Gh[a]
-                power += g / s
-                for a in range(n):
-                    gain = Ph[a] / s
-                    for b in range(n):
-                        G[a, b] += gain * (Ph[b] / s * g - Gh[b]) - Gh[a] * Ph[b] / s
-                        P[a, b] -= gain * Ph[b]
-    return power
-
-
-def echo(channel: Channel) -> Floats:
-    """What sensor noise in the inputs would pass for in the derivatives.
-
-    The derivative with respect to a turn is specific force about another axis, and as noisy as that.
-    Noise raises the sums of products of the whitened derivatives as signal does; this much of them
-    is not information.
+def at_point(channel: Channel, p: Floats) -> Channel:
+    """The channel with its unknowns fixed: what the recording says where all of them are known.
 
     Parameters
     ----------
     channel : Channel
+    p : ndarray, shape (size of p,)
+        All unknowns.
 
     Returns
     -------
-    ndarray, shape (d,)
-        Expected sum of squares of the whitened innovations that the noise of each driven state causes.
+    Channel
+        Of no unknowns; its innovations are those of `channel` at `p`.
     """
-    whole = np.ascontiguousarray
-    P0, Phi, Q, H, r = map(whole, (channel.P0, channel.Phi, channel.Q, channel.H, channel.r))
-    inputs = enumerate(channel.driven.tolist())
-    return np.array([_echo(P0, Phi, Q, H, r, state, whole(channel.grain[:, d])) for d, state in inputs])
+    weights = np.concatenate([[1.0], p[channel.unknowns]])
+    nothing = channel.unknowns[:0]
+    return channel._replace(U=(channel.U @ weights)[..., None], Y=(channel.Y @ weights)[..., None], unknowns=nothing)
 
 
 def whiten_reference(channel: Channel, block: Integers, blocks: int, p: Floats, *, limit: float = np.inf) -> Evidence:

@@ -5,6 +5,8 @@ Signs and the idea are those of `nav_core.mounting.model`.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from nav_core.mounting.model import (
@@ -23,11 +25,53 @@ from nav_core.mounting.model import (
     turned,
 )
 from nav_core.mounting.stretch import Fixes, Record, Steps, at, clear_rate, integrate, rough_share, steps_of, unrolled
-from nav_core.mounting.whitening import Channel
+from nav_core.mounting.whitening import Channel, matrices
 from nav_core.typing import Flags, Floats
 
 
-def yaw_plane(record: Record, R_va: Floats, lags: tuple[float, float], noise: Noise) -> Channel:
+class Across(NamedTuple):
+    """What the ticks say of the yaw plane from fix to fix, whatever the noise levels."""
+
+    steps: Steps
+    w: Floats
+    """Turn rate at the fixes, rad/s, shape (n,)."""
+    inverse_now: Floats
+    """One over the speed there, s/m, shape (n,)."""
+    spin: Floats
+    """Change of the turn rate in each step over the speed, rad/m, shape (n,)."""
+    total: Floats
+    """Specific force over speed and its companions integrated over each step, shape (n, 5)."""
+
+
+def across_of(record: Record, R_va: Floats, lags: tuple[float, float]) -> Across:
+    """The part of `yaw_plane` that does not depend on the noise levels.
+
+    Parameters
+    ----------
+    record : Record
+    R_va : ndarray, shape (3, 3)
+        Present estimate.
+    lags : tuple of float
+        Present estimates of the lags of GPS speed and course, s.
+
+    Returns
+    -------
+    Across
+    """
+    steps = steps_of(record, lags[1])
+    frame = turned(record, R_va, lags[0])
+    inverse = frame.inverse_speed
+    inputs = np.column_stack([frame.f * inverse[:, None], inverse, record.density * inverse**2])
+    total = per_step(at(record, steps.when, integrate(record, inputs)), steps.broken)
+    w = at(record, steps.when, frame.w)
+    inverse_now = at(record, steps.when, inverse)
+    spin = per_step(w, steps.broken) * inverse_now
+    return Across(steps, w, inverse_now, spin, total)
+
+
+def yaw_plane(
+    record: Record, R_va: Floats, lags: tuple[float, float], noise: Noise, across: Across | None = None
+) -> Channel:
     """Course against lateral specific force; see `pitch_plane`.
 
     Parameters
@@ -37,24 +81,19 @@ def yaw_plane(record: Record, R_va: Floats, lags: tuple[float, float], noise: No
     lags : tuple of float
         Present estimates of the lags of GPS speed and course, s.
     noise : Noise
+    across : Across, optional
+        `across_of` of the same record, mounting and lags, where it is known already.
 
     Returns
     -------
     Channel
         Measurement: GPS course.  States: course, bank, slow error of lateral velocity, drift of the bias.
     """
-    steps = steps_of(record, lags[1])
-    frame = turned(record, R_va, lags[0])
+    steps, w, inverse_now, spin, total = across or across_of(record, R_va, lags)
     c = 1 + UNKNOWNS
-    inverse = frame.inverse_speed
-    inputs = np.column_stack([frame.f * inverse[:, None], inverse, record.density * inverse**2])
-    total = per_step(at(record, steps.when, integrate(record, inputs)), steps.broken)
-    w = at(record, steps.when, frame.w)
-    inverse_now = at(record, steps.when, inverse)
-    spin = per_step(w, steps.broken) * inverse_now
     elapsed = np.diff(steps.when, prepend=steps.when[:1])
     keep = 1.0 - noise.roll_gain[0]
-    U = np.zeros((steps.when.size, 1, c))
+    U = np.zeros((1, c, steps.when.size)).transpose(2, 0, 1)  # filled column by column
     U[:, 0, 0] = keep * total[:, 1] - noise.lever[0] * spin
     U[:, 0, 1 + 0], U[:, 0, 1 + 2] = -keep * total[:, 2], keep * total[:, 0]
     U[:, 0, 1 + 4] = -total[:, 3]
@@ -64,7 +103,7 @@ def yaw_plane(record: Record, R_va: Floats, lags: tuple[float, float], noise: No
     U[:, 0, 1 + LEVER_X] = -spin
     lost = steps.broken | (elapsed > LONGEST_STEP)
     P0, Phi, Q, H, r = yaw_system(record.fixes, steps, noise, total[:, 1], total[:, 3], total[:, 4], lost)
-    Y = np.zeros((steps.when.size, 1, c))
+    Y = np.zeros((1, c, steps.when.size)).transpose(2, 0, 1)
     # Ahead of the point that does not slip, the track points into the turn.
     Y[:, 0, 0] = np.nan_to_num(record.fixes.course) - noise.lever[0] * w * inverse_now
     Y[:, 0, 1 + COURSE_LAG] = w
@@ -126,20 +165,34 @@ def yaw_system(
         Variance, rad²; NaN where not measured.
     """
     count = fixes.t.size
-    Phi, Q = np.zeros((count, 4, 4)), np.zeros((count, 4, 4))
-    Phi[:, 0, 0] = Phi[:, 3, 3] = 1.0
-    Phi[:, 0, 3] = -inverse
     z = np.maximum(steps.distance / noise.bank_length, 1e-6)
     along = np.exp(-z)
-    Phi[:, 0, 1] = -GRAVITY * inverse * (1.0 - along) / z
-    Phi[:, 1, 1], Q[:, 1, 1] = along, (1.0 - along**2) * noise.bank**2
     elapsed = np.diff(steps.when, prepend=steps.when[:1])
-    Q[:, 3, 3] = noise.drift**2 * elapsed
     decay, fresh = first_order(elapsed, noise.slow_time)
-    Phi[:, 2, 2], Q[:, 2, 2] = decay, fresh * noise.across_slow**2
+    Phi = matrices(
+        count,
+        4,
+        {
+            (0, 0): 1.0,
+            (3, 3): 1.0,
+            (0, 3): -inverse,
+            (0, 1): -GRAVITY * inverse * (1.0 - along) / z,
+            (1, 1): along,
+            (2, 2): decay,
+        },
+    )
     slack = np.where(steps.dt > 0.0, inverse**2 / np.maximum(steps.dt, 1e-3), 0.0)
     anew = np.where(lost | np.isnan(fixes.course), 100.0, 0.0)
-    Q[:, 0, 0] = noise.force**2 * slack + grain + (noise.relative_turn * change) ** 2 + anew
+    Q = matrices(
+        count,
+        4,
+        {
+            (0, 0): noise.force**2 * slack + grain + (noise.relative_turn * change) ** 2 + anew,
+            (1, 1): (1.0 - along**2) * noise.bank**2,
+            (2, 2): fresh * noise.across_slow**2,
+            (3, 3): noise.drift**2 * elapsed,
+        },
+    )
     now = 1.0 / np.maximum(fixes.speed, FLOOR_SPEED)
     H = np.zeros((count, 1, 4))
     H[:, 0, 0], H[:, 0, 2] = 1.0, now

@@ -50,6 +50,8 @@ def merged(parts: Sequence[Part]) -> Columns:
     for name, values in joined.items():
         if name != "t":
             told |= ~np.isnan(values)
+            if told.all():
+                break
     return Columns(joined if told.all() else {name: values[told] for name, values in joined.items()})
 
 
@@ -85,7 +87,10 @@ def _drop_repeated_fixes(joined: dict[str, Floats]) -> None:
     names = [name for name in (*_FIX, "hdop", "sats", "utc") if name in joined]
     if not names:
         return
-    index = np.flatnonzero(~np.isnan(np.stack([joined[name] for name in names])).all(axis=0))
+    told = np.zeros(joined["t"].size, dtype=np.bool_)
+    for name in names:
+        told |= ~np.isnan(joined[name])
+    index = np.flatnonzero(told)
     again = index[1:][np.diff(joined["t"][index]) == 0.0]
     for name in names:
         values = joined[name].copy()

@@ -121,9 +121,9 @@ class Columns:
     @staticmethod
     def from_parquet(data: bytes) -> Columns:
         """Read the stored form back."""
-        from server.formats.parquet import read
+        from server.formats.parquet import read_stored
 
-        return read(data, max_decoded_bytes=None)
+        return read_stored(data)
 
 
 def check_names(names: Mapping[str, object] | tuple[str, ...]) -> None:

@@ -43,7 +43,10 @@ BACK_S = 5.0
 SAME_S = 1.5
 """Two time zeros closer than this are one event seen twice."""
 STRETCH_S = 600.0
-"""Longest stretch that is looked at in one piece: bounds memory."""
+"""Longest stretch that is looked at again in one piece."""
+STRETCH_ROWS = 300_000
+"""Most rows of several new batches that are looked at in one piece: bounds memory.  Each further piece has the
+batches around it read along, so few pieces are less work."""
 LATE_MOVE_S = 3600.0
 """A move that is found later than this after it happened has less looked at again: bounds the work of one round."""
 STALE = 50
@@ -117,7 +120,7 @@ class Events:
 
     def take_in(self, new: Iterable[Batch]) -> None:
         """Look for events in new batches, and revise those whose window they reach into."""
-        for boot, first, last in _stretches(new):
+        for boot, first, last in stretches_of(new):
             self._look(self._situation.boots[boot], first, last)
             self._looked_from[boot] = min(first - BACK_S, self._looked_from.get(boot, first))
 
@@ -398,16 +401,18 @@ def clock_json(boot: Boot) -> dict[str, Any]:
     }
 
 
-def _stretches(new: Iterable[Batch]) -> list[tuple[str, float, float]]:
+def stretches_of(new: Iterable[Batch]) -> list[tuple[str, float, float]]:
     """New batches as stretches of their boots' clocks, those that touch joined."""
     stretches: list[tuple[str, float, float]] = []
+    rows = 0
     for batch in sorted(new, key=lambda batch: (batch.boot, batch.t_first_s)):
         boot, first, last = stretches[-1] if stretches else ("", 0.0, 0.0)
-        joins = boot == batch.boot and batch.t_first_s <= last + BACK_S and batch.t_last_s - first <= STRETCH_S
-        if joins:
+        rows += batch.rows
+        if boot == batch.boot and batch.t_first_s <= last + BACK_S and rows <= STRETCH_ROWS:
             stretches[-1] = boot, first, max(last, batch.t_last_s)
         else:
             stretches.append((batch.boot, batch.t_first_s, batch.t_last_s))
+            rows = batch.rows
     return stretches
 
 

@@ -11,11 +11,11 @@ import math
 from collections import defaultdict
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import structlog
-from sqlalchemy import delete, insert, select
+from sqlalchemy import Table, delete, insert, select
 from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
@@ -47,6 +47,8 @@ BATCHES = 64
 """Batches of one round: bounds its memory and how long others wait for their turn."""
 
 ATTEMPTS = 5
+
+_POINTS = cast("Table", TrackPoint.__table__)
 
 QUIET_S = 20.0
 """So long after the last upload, or three batches if that is longer, what waits for an estimate is estimated."""
@@ -394,7 +396,8 @@ class Round:
         session.add_all([*results.revisions, *results.deliveries])
         keep(session, state.device_id, results.readings, now=self._now)
         if results.points:
-            session.execute(insert(TrackPoint), results.points)
+            # Past the objects: there is a point a second.
+            session.connection().execute(insert(_POINTS), results.points)
         for announcement in results.announcements:
             announce(
                 session,

@@ -20,6 +20,7 @@ from server.jobs.failures import Job, left_alone
 from server.jobs.rerun import Reruns
 from server.jobs.run import FIGURES, Tally, run_job
 from server.jobs.supervise import end_with_parent, parent_fd
+from server.memory import keep_freed_memory
 from server.migrations import serves
 from server.moments import Clock, utc_now
 from server.settings import Settings, set_numba_cache_dir
@@ -45,6 +46,7 @@ def run(settings: Settings) -> None:
     end_with_parent()
     _check_schema(settings)
     set_numba_cache_dir()
+    keep_freed_memory()
     os.nice(NICENESS)
     stop = threading.Event()
 

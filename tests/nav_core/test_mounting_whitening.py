@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from nav_core.mounting.echo import echo
 from nav_core.mounting.model import UNKNOWNS, Noise
 from nav_core.mounting.pitch_plane import pitch_plane
 from nav_core.mounting.stretch import blocks_of, prepare, usable_fixes
-from nav_core.mounting.whitening import Channel, echo, whiten, whiten_reference
+from nav_core.mounting.whitening import Channel, at_point, matrices, whiten, whiten_reference
 from nav_core.mounting.yaw_plane import yaw_plane
 from nav_core.signal import decimate
 from nav_core.simulate import Scenario, simulate
@@ -116,3 +117,20 @@ def test_the_echo_of_noise_is_that_of_every_step_on_its_own(driven: int):
     impulses = channel._replace(x0=np.zeros(channel.x0.size), U=U, Y=Y, unknowns=np.arange(steps))
     gram = whiten_reference(impulses, np.zeros(steps, dtype=np.int64), 1, np.zeros(steps)).gram.sum((0, 1))
     assert echo(channel)[driven] == pytest.approx(np.trace(gram[1:, 1:]), rel=1e-9)
+
+
+def test_a_channel_at_a_point_is_the_channel_there():
+    rng = np.random.default_rng(4)
+    channel = _channel(rng)._replace(period=np.array([0.0, 1.0]))
+    block, p = np.arange(25) // 10, rng.normal(size=5)
+    whole, fixed = whiten(channel, block, 3, p, limit=1.5), whiten(at_point(channel, p), block, 3, p, limit=1.5)
+    np.testing.assert_allclose(fixed.misfit(p), whole.misfit(p), rtol=1e-9)
+    np.testing.assert_allclose(fixed.log_det, whole.log_det, rtol=1e-9)
+    np.testing.assert_array_equal(fixed.number, whole.number)
+
+
+def test_matrices_have_their_entries_and_nothing_else():
+    column = np.arange(3.0)
+    expected = np.zeros((3, 2, 2))
+    expected[:, 0, 1], expected[:, 1, 1] = column, 0.5
+    np.testing.assert_array_equal(matrices(3, 2, {(0, 1): column, (1, 1): 0.5}), expected)
