@@ -190,5 +190,53 @@ def test_the_replay_plays_and_can_be_scrubbed(event, open_page, screenshot):
         assert monotonic() < until, "the replay does not stop"
     # The scene fades in, slowly where software renders it; the arrow of the force is there from time zero on.
     wait_coloured(page.locator("scene-3d"), lambda drawn: drawn["red"] > 300)
+    # viser says on a machine without a graphics card that it has none, but not over the picture.
+    expect(frame.locator(".mantine-Notifications-root:visible")).to_have_count(0)
     screenshot(page, "event-replay")
     expect(time).to_have_value("6.8")
+
+
+@pytest.mark.usefixtures("viewer")
+def test_replay_charts_and_map_show_one_instant(event, open_page):
+    page = open_page(f"/events/{event}", expected=CHATTER)
+    page.set_default_timeout(PATIENCE_MS)
+    begins = float(page.locator("scene-3d").get_attribute("from"))
+    assert begins == -6.0
+    frame = page.frame_locator("scene-3d iframe")
+    time, way = frame.get_by_role("textbox").first, page.locator("event-map")
+    expect(time).not_to_have_value("0.0", timeout=PATIENCE_MS)  # it plays from the beginning on
+    way.scroll_into_view_if_needed()
+    expect(way).to_have_attribute("data-points", "121")
+    over = page.locator('[data-plot="speed"] .u-over')
+    over.scroll_into_view_if_needed()
+
+    def pointed(part: float) -> float:
+        box = over.bounding_box()
+        over.hover(position={"x": part * box["width"], "y": 40})
+        return float(way.get_attribute("data-cursor"))
+
+    # The reader points, the replay stops there; an instant that it does not have is its first or last.
+    for part in (0.5, 0.52, 0.47):
+        at = pointed(part)
+        assert -6.0 < at < 6.0
+        expect(time).to_have_value(f"{at - begins:.1f}", timeout=PATIENCE_MS)
+        # What the replay made of it does not move the reader's cursor.
+        assert float(way.get_attribute("data-cursor")) == at
+    assert pointed(0.1) < -6.0
+    expect(time).to_have_value("0.0", timeout=PATIENCE_MS)
+    assert pointed(0.95) > 6.0
+    expect(time).to_have_value("12.0", timeout=PATIENCE_MS)
+    pointed(0.5)
+    page.mouse.move(5, 5)
+    expect(way).to_have_attribute("data-cursor", "")
+
+    # It plays on, and the cursor of the charts and the mark on the map go along.
+    frame.get_by_role("button").first.click(timeout=PATIENCE_MS)
+    seen = set()
+    until = monotonic() + PATIENCE_MS / 1000.0
+    while len(seen) < 5:
+        assert monotonic() < until, seen
+        expect(way).to_have_attribute("data-cursor", re.compile(r"\d"), timeout=PATIENCE_MS)
+        seen.add(way.get_attribute("data-cursor"))
+    assert all(-6.0 <= float(at) <= 6.1 for at in seen)
+    expect(page.locator('[data-now="speed0"]')).to_have_text(re.compile(r"\d"))

@@ -18,12 +18,10 @@ document.addEventListener("click", (event) => {
   }
   const open = openMenu();
   if (!open?.contains(target)) open?.removeAttribute("open");
-  const button = target?.closest("[data-copy]");
-  if (!(button instanceof HTMLElement) || !button.dataset.copy) return;
-  const words = button.querySelector("span");
-  const before = words?.textContent ?? "";
-  void navigator.clipboard.writeText(button.dataset.copy).then(() => {
-    if (!words) return;
+  const button = target?.closest("[data-copy]"), words = button?.querySelector("span");
+  if (!button || !words) return;
+  const before = words.textContent;
+  void navigator.clipboard.writeText(button.getAttribute("data-copy") ?? "").then(() => {
     words.textContent = t("copied");
     setTimeout(() => { words.textContent = before; }, 1500);
   });
@@ -32,7 +30,7 @@ document.addEventListener("click", (event) => {
 /** The row before or after the one that has the focus. @param {1 | -1} step */
 function move(step) {
   const links = [...document.querySelectorAll(".rows tbody th a")].filter((a) => a.checkVisibility());
-  const next = links[links.indexOf(/** @type {Element} */ (document.activeElement)) + step] ?? links[step > 0 ? 0 : links.length - 1];
+  const next = links[links.indexOf(/** @type {Element} */ (document.activeElement)) + step] ?? links.at(step > 0 ? 0 : -1);
   if (next instanceof HTMLElement) next.focus();
 }
 
@@ -46,9 +44,9 @@ const KEYS = {
 };
 
 document.addEventListener("keydown", (event) => {
-  const at = event.target instanceof HTMLElement ? event.target : null;
   if (event.key === "Escape") openMenu()?.removeAttribute("open");
-  if (event.ctrlKey || event.metaKey || event.altKey || at?.closest("input, select, textarea, dialog, [contenteditable]")) return;
+  if (event.ctrlKey || event.metaKey || event.altKey) return;
+  if (event.target instanceof Element && event.target.closest("input, select, textarea, dialog, [contenteditable]")) return;
   const run = KEYS[event.key];
   if (run) { event.preventDefault(); run(); }
 });
