@@ -7,7 +7,14 @@ import { t } from "./words.js";
 showTimes();
 watch();
 
-const openMenu = () => document.querySelector("details.menu[open], .rail-more[open]");
+/** Close the open menu, if any. @param {Element | null} [but] unless this is in it */
+function closeMenu(but = null) {
+  const open = document.querySelector("details.menu[open], .rail-more[open]");
+  if (!open || open.contains(but)) return;
+  // Who was inside goes on from its button.
+  if (open.contains(document.activeElement)) open.querySelector("summary")?.focus();
+  open.removeAttribute("open");
+}
 
 document.addEventListener("click", (event) => {
   const target = event.target instanceof Element ? event.target : null;
@@ -16,8 +23,7 @@ document.addEventListener("click", (event) => {
     event.preventDefault();
     void go(link.href);
   }
-  const open = openMenu();
-  if (!open?.contains(target)) open?.removeAttribute("open");
+  closeMenu(target);
   const button = target?.closest("[data-copy]"), words = button?.querySelector("span");
   if (!button || !words) return;
   const before = words.textContent;
@@ -37,16 +43,17 @@ function move(step) {
 /** @type {Record<string, () => void>} */
 const KEYS = {
   "/": () => document.getElementById("search")?.focus(),
-  "?": () => /** @type {HTMLDialogElement | null} */ (document.getElementById("keys"))?.showModal(),
+  "?": () => document.querySelector("dialog")?.showModal(),
   j: () => move(1),
   k: () => move(-1),
   z: changeZone,
 };
 
 document.addEventListener("keydown", (event) => {
-  if (event.key === "Escape") openMenu()?.removeAttribute("open");
-  if (event.ctrlKey || event.metaKey || event.altKey) return;
-  if (event.target instanceof Element && event.target.closest("input, select, textarea, dialog, [contenteditable]")) return;
+  if (event.key === "Escape") closeMenu();
   const run = KEYS[event.key];
-  if (run) { event.preventDefault(); run(); }
+  if (!run || event.ctrlKey || event.metaKey || event.altKey) return;
+  if (event.target instanceof Element && event.target.closest("input, select, textarea, dialog, [contenteditable]")) return;
+  event.preventDefault();
+  run();
 });

@@ -41,7 +41,7 @@ class LiveMonitor extends Charts {
     if (this.#asking) return;
     for (this.#asking = true; this.#again;) {
       this.#again = false;
-      this.say(await this.#fetch().then(() => "", ({ message }) => message));
+      this.say(await this.#fetch().catch(({ message }) => message) ?? "");
     }
     this.#asking = false;
   }

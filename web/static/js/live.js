@@ -61,13 +61,13 @@ function say(state, words) {
 }
 
 /** When the waiting refresh is due. */
-let dueAt = 0;
+let dueAt = Infinity;
 
 /** @param {number} within milliseconds */
 function refreshSoon(within = SETTLE_MS) {
   stale = true;
   const at = Math.max(performance.now() + within, within === URGENT_MS ? 0 : restUntil);
-  if (document.hidden || (pending !== undefined && dueAt <= at)) return;
+  if (document.hidden || dueAt <= at) return;
   clearTimeout(pending);
   dueAt = at;
   pending = setTimeout(refresh, at - performance.now());
@@ -89,7 +89,7 @@ async function refresh() {
   } catch {
     say("off", t("Reconnecting"));
   } finally {
-    pending = undefined;
+    dueAt = Infinity;
     restUntil = performance.now() + REST_PER_WORK * (performance.now() - began);
     if (stale) refreshSoon();
   }

@@ -15,7 +15,7 @@ export class Scene3d extends HTMLElement {
   #base = "";
   /** What the view is to show, and what it was told last: a Choice in JSON. */ #wanted = "{}"; #told = "{}";
   /** The instant that the reader points at, until the replay shows it. @type {number | null} */ #sought = null;
-  #event = this.getAttribute("event");
+  get #event() { return this.getAttribute("event"); }
 
   connectedCallback() {
     whenSeen(this, () => void this.#open());
@@ -65,10 +65,12 @@ export class Scene3d extends HTMLElement {
       const time = frame.contentDocument?.querySelector('input[inputmode="decimal"]');
       if (!time) return;
       if (this.#sought !== null) {
+        // The player would take the focus, and the page would jump to it.
+        time.focus = () => {};
         // React keeps a setter of its own on the element; the player pauses.
-        Reflect.set(HTMLInputElement.prototype, "value", String(Math.min(Math.max(this.#sought, from), to) - from), time);
+        Reflect.set(HTMLInputElement.prototype, "value", (Math.min(Math.max(this.#sought, from), to) - from).toFixed(2), time);
         time.dispatchEvent(new Event("input", { bubbles: true }));
-        // What it then shows is the reader's instant, rounded: not to be told.
+        // What it then shows is the reader's instant, not to be told.
         shown = "";
       } else if (time.value !== shown) {
         if (shown) tell("place", { at: from + Number(time.value) });
@@ -115,7 +117,6 @@ export class Scene3d extends HTMLElement {
   /** @param {string} words */
   #lost(words) {
     const again = make("button", t("Try again"));
-    again.type = "button";
     again.addEventListener("click", () => void this.#open());
     this.#say("lost", words, again);
   }

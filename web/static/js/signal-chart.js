@@ -93,7 +93,7 @@ class SignalChart extends Charts {
     if (!this.#signals) return;
     const { header } = this.#signals;
     this.dataset.frame = header.frame;
-    this.#put("speed", SPEED, this.#signals, { range: fromZero });
+    this.#put("speed", SPEED, this.#signals, { range: (_, _low, high) => [0, Math.max(high, 20) * 1.1] });
     this.#put("force", FORCE, this.#signals);
     this.#reach(header.from, header.to);
     const count = header.groups.reduce((sum, group) => sum + group.count, 0);
@@ -113,7 +113,7 @@ class SignalChart extends Charts {
     const names = Object.keys(columns), times = series[names[0] ?? ""]?.t ?? [];
     const plot = this.plots[name] ?? this.plot(name, {
       lines: Object.values(columns).map((one, k) => ({ stroke: colour(one), label: name + k })), ...(y && { scales: { x: { auto: false }, y } }),
-      cursor: { drag: { setScale: false }, bind: { dblclick: () => () => this.#zoomBack() } },
+      cursor: { drag: { setScale: false }, bind: { dblclick: () => () => { this.#show(this.#back.pop() ?? this.#view); return null; } } },
       hooks: { setSelect: [(plot) => this.#zoom(plot)] },
     }, [[], ...names.map(() => [])]);
     plot.root.hidden = !times.length;
@@ -135,15 +135,6 @@ class SignalChart extends Charts {
     this.#reach(from, to);
     this.#show({ from, to });
   }
-
-  #zoomBack() {
-    const before = this.#back.pop();
-    if (before) this.#show(before);
-    return null;
-  }
 }
-
-/** @type {ValueRange} */
-const fromZero = (_, _low, high) => [0, Math.max(high, 20) * 1.1];
 
 customElements.define("signal-chart", SignalChart);

@@ -16,7 +16,13 @@ class TrackMap extends GroundMap {
   connectedCallback() {
     whenSeen(this, async () => {
       const map = await this.open("track", () => this.#sources());
-      map.on("mousemove", "track-edge", ({ lngLat }) => this.#point(lngLat.lng, lngLat.lat));
+      map.on("mousemove", "track-edge", ({ lngLat: { lng, lat } }) => {
+        // The instant at which the vehicle was here.
+        const shrink = Math.cos((lat * Math.PI) / 180);
+        const far = this.#points.map(([x, y]) => ((x - lng) * shrink) ** 2 + (y - lat) ** 2);
+        const at = this.#at[far.indexOf(Math.min(...far))];
+        if (at !== undefined) tell("place", { at });
+      });
       hear("parts", () => void this.#update());
       hear("cursor", ({ at }) => {
         const k = at === null ? -1 : this.#at.findIndex((t) => t >= at), place = this.#points[k];
@@ -45,14 +51,6 @@ class TrackMap extends GroundMap {
     const ends = last ? [feature("Point", last, { end: "end", say: first ? t("end") : t("last position") })] : [];
     if (first) ends.unshift(feature("Point", first, { end: "start", say: t("start") }));
     return { track: this.#lines(), ends };
-  }
-
-  /** The instant at which the vehicle was here. @param {number} lon @param {number} lat */
-  #point(lon, lat) {
-    const shrink = Math.cos((lat * Math.PI) / 180);
-    const far = this.#points.map(([x, y]) => ((x - lon) * shrink) ** 2 + (y - lat) ** 2);
-    const at = this.#at[far.indexOf(Math.min(...far))];
-    if (at !== undefined) tell("place", { at });
   }
 
   async #update() {
