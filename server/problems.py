@@ -27,6 +27,7 @@ from server.errors import (
     UnavailableError,
     UnsupportedMediaError,
 )
+from server.wording import marked
 
 MEDIA_TYPE = "application/problem+json"
 
@@ -52,6 +53,32 @@ class HttpProblemError(ProblemError):
 class InternalProblemError(ProblemError):
     status, code, title = 500, "internal", "Internal error"
 
+
+_NO_PAGE = (
+    marked("There is no such page"),
+    marked("The address is not right, or what it showed is no longer there."),
+)
+PAGES = {
+    "not_found": _NO_PAGE,
+    "method_not_allowed": _NO_PAGE,
+    "forbidden": (
+        marked("This page is not open to you"),
+        marked("Your role lacks the permission for it. Whoever manages your organisation's users can give it."),
+    ),
+    "csrf": (
+        marked("This form is out of date"),
+        marked("You signed in again since the page was opened. Go back, reload it and send the form once more."),
+    ),
+    "internal": (
+        marked("Something went wrong here"),
+        marked("The service could not make this page and has noted why. Try again in a moment."),
+    ),
+    "unavailable": (
+        marked("Not available now"),
+        marked("A part of the service does not answer. Try again in a moment."),
+    ),
+}
+"""Heading and sentence for people, by code; other problems speak for themselves."""
 
 _SCHEMA: dict[str, object] = {
     "type": "object",
@@ -114,12 +141,12 @@ def problem_response(error: ProblemError, connection: HTTPConnection) -> Respons
 
 
 def _page(error: ProblemError, connection: HTTPConnection) -> dict[str, object]:
+    title, detail = PAGES.get(error.code, (error.title, error.detail))
     return {
         "request": connection,
         "status": error.status,
-        "title": error.title,
-        "detail": error.detail,
-        "code": error.code,
+        "title": title,
+        "detail": detail,
     }
 
 

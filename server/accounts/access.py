@@ -56,14 +56,18 @@ def looks_at(permission: Permission) -> Callable[[HTTPConnection], Awaitable[Cal
     return with_entry
 
 
-def look(connection: HTTPConnection, caller: Caller, permission: Permission) -> None:
-    """Write to the audit log that a caller sees locations or samples: the route, the ids in it, the query."""
+def look(connection: HTTPConnection, caller: Caller, permission: Permission, *, aside: str | None = None) -> None:
+    """Write to the audit log that a caller sees locations or samples: the route, the ids in it, the query.
+
+    `aside` is a parameter of the query that says nothing of what is seen, but differs each time.
+    """
     state = connection.app.state
     now = cast("dt.datetime", state.clock())
     route = getattr(connection.scope.get("route"), "path", connection.url.path)
     subject = " ".join([route, *(f"{name}={value}" for name, value in connection.path_params.items())])
     actor = caller.user_id or caller.key_id or caller.session_id
-    query = connection.url.query[:500]
+    given = connection.url.query
+    query = "&".join(part for part in given.split("&") if aside is None or part.partition("=")[0] != aside)[:500]
     key = (caller.organisation_id, caller.kind, actor, permission, subject, query)
     if not cast("audit.RecentLooks", state.recent_looks).is_new(key, now):
         return

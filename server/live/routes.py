@@ -41,7 +41,8 @@ async def live(request: Request, caller: Reader, last_event_id: Place = None, af
     """
     sight = sight_of(caller)
     if sight == "exact":
-        await run_in_threadpool(look, request, caller, "location.read")
+        # Each page goes on from another change; that is the same look.
+        await run_in_threadpool(look, request, caller, "location.read", aside="after")
     place = last_event_id if last_event_id is not None else after
     stream = _events(hub_of(request), caller.organisation_id, place, sight)
     headers = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}

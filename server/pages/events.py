@@ -21,6 +21,7 @@ from server.pages.frame import MEASURES, Measures
 from server.pages.words import KINDS, State
 from server.reports.figures import Row, basis_rows, in_unit, number_rows, risk_rows, sentences
 from server.reports.words import Language, Words
+from server.view3d.instants import instants
 from server.wording import marked
 
 SHOWN = 200
@@ -120,6 +121,12 @@ class EventPage:
         """Direction in words; None where it is not known."""
         clock = self.told["pdof_clock"]
         return None if clock is None else self.words(f"where{clock}")
+
+    @property
+    def replayed(self) -> tuple[float, float]:
+        """The first and the last instant of the replay, s from time zero."""
+        t = instants(self.document)
+        return float(t[0]), float(t[-1])
 
     @property
     def sketch(self) -> dict[str, float | str] | None:

@@ -49,8 +49,8 @@ def _path(ticket: str, device_id: str) -> str:
 
 @router.get("/view3d/{ticket}/{device_id}/")
 async def page(request: Request, ticket: str, device_id: str) -> Response:
-    """The view's page, from the viewer."""
-    return await forward(request, f"{_path(ticket, device_id)}/")
+    """The view's page, from the viewer; the query says whether it is a replay's."""
+    return await forward(request, f"{_path(ticket, device_id)}/?{request.url.query}")
 
 
 @router.get("/view3d/{ticket}/{device_id}/events/{event_id}.viser")

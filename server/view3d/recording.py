@@ -18,11 +18,10 @@ from server.errors import NotFoundError
 from server.events import queries
 from server.models import Event
 from server.view3d.bodywork import BODIES, Body
+from server.view3d.instants import FRAMES_PER_S, instants, known_rows
 from server.view3d.pool import close_share
 from server.view3d.scene import AXIS_COLOURS, R_WORLD_V, draw_body, light, wxyz
 
-BEFORE_S, AFTER_S = 6.0, 6.0
-FRAMES_PER_S = 20
 KEPT = 16
 """Recordings in memory; each is some 100 KB."""
 
@@ -186,16 +185,13 @@ class Way:
     """Positions and headings at the frames' times; at rest in the middle where no path is known."""
 
     def __init__(self, document: dict[str, Any]) -> None:
-        way = document["curves"]["trajectory"]
-        known = np.zeros(0, dtype=np.int64) if way is None else self._known(way)
-        if way is None or known.size < 2:
-            self.t = np.arange(-1.0, 1.0 + 1e-9, 1.0 / FRAMES_PER_S)
+        self.t = instants(document)
+        way, known = document["curves"]["trajectory"], known_rows(document)
+        if not known:
             self.positions = np.zeros((self.t.size, 3))
             self._heading, self.speed = np.zeros(self.t.size), np.full(self.t.size, np.nan)
             return
         t = np.array(way["t_s"], dtype=np.float64)[known]
-        first, last = max(float(t[0]), -BEFORE_S), min(float(t[-1]), AFTER_S)
-        self.t = np.arange(np.ceil(first * FRAMES_PER_S), np.floor(last * FRAMES_PER_S) + 1) / FRAMES_PER_S
 
         def column(name: str) -> Floats:
             return np.array([np.nan if way[name][k] is None else way[name][k] for k in known], dtype=np.float64)
@@ -204,10 +200,6 @@ class Way:
         self.positions = np.column_stack([north, -east, np.zeros(self.t.size)])
         self._heading = np.interp(self.t, t, _whole(np.radians(column("heading_deg"))))
         self.speed = np.interp(self.t, t, column("speed_kmh"))
-
-    @staticmethod
-    def _known(way: dict[str, Any]) -> Any:
-        return np.flatnonzero([north is not None for north in way["north_m"]])
 
     def at(self, k: int) -> tuple[Floats, Floats]:
         """Position and rotation in viser's world."""

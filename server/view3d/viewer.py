@@ -38,7 +38,7 @@ from server.view3d.relay import refuse, relay, same_origin
 from server.view3d.view import Choice
 
 _EXPIRED = "This 3D view's ticket has expired. Reload the page that shows it."
-
+_PANEL, _NOTICES = ".mantine-Paper-root", ".mantine-Notifications-root"
 
 Force = Annotated[float, Field(ge=-1e4, le=1e4)] | None
 
@@ -66,6 +66,13 @@ class Wanted(BaseModel):
         return Choice(self.step, self.before, self.proposal, at, f, self.frame == "v")
 
 
+class _Client:
+    """viser's page, as it is and compressed."""
+
+    def __init__(self, page: bytes) -> None:
+        self.page, self.compressed = page, gzip.compress(page, 6)
+
+
 class Viewer:
     """The ASGI application's routes and what they share."""
 
@@ -75,10 +82,11 @@ class Viewer:
         self._database = Database(settings)
         self.pool = pool or ScenePool(self._database, clock=clock, store=open_store(settings))
         self.replays = Replays(self._database)
-        self._page = client_page()
-        self._page_gzip = gzip.compress(self._page, 6)
-        self._bare = bare_page(self._page)
-        self._bare_gzip = gzip.compress(self._bare, 6)
+        page = client_page()
+        self._shared = _Client(page)
+        self._replay = _Client(without(page, _NOTICES))
+        # The panel shows the socket's address, and so the ticket.
+        self._bare = _Client(without(page, _NOTICES, _PANEL))
         self._headers = {
             "Content-Security-Policy": content_security_policy(settings),
             "X-Content-Type-Options": "nosniff",
@@ -89,21 +97,21 @@ class Viewer:
         }
 
     async def page(self, request: Request) -> Response:
-        """The client that viser ships, for the holder of a ticket."""
-        return await self._client(request, self._page, self._page_gzip)
+        """The client that viser ships, for the holder of a ticket; a replay's without notices over the picture."""
+        return await self._client(request, self._replay if "playbackPath" in request.query_params else self._shared)
 
     async def own_page(self, request: Request) -> Response:
         """The same as a mere picture, for a page that has words and controls of its own."""
-        return await self._client(request, self._bare, self._bare_gzip)
+        return await self._client(request, self._bare)
 
-    async def _client(self, request: Request, page: bytes, page_gzip: bytes) -> Response:
+    async def _client(self, request: Request, client: _Client) -> Response:
         secret, device_id = request.path_params["ticket"], request.path_params["device_id"]
         if not await run_in_threadpool(self._opens, secret, device_id):
             return PlainTextResponse(_EXPIRED, 403, self._headers)
         if "gzip" in request.headers.get("accept-encoding", ""):
             headers = {**self._headers, "Content-Encoding": "gzip"}
-            return Response(page_gzip, headers=headers, media_type="text/html")
-        return Response(page, headers=self._headers, media_type="text/html")
+            return Response(client.compressed, headers=headers, media_type="text/html")
+        return Response(client.page, headers=self._headers, media_type="text/html")
 
     async def socket(self, websocket: WebSocket) -> None:
         """The scene's socket: ticket and origin are checked, then bytes pass both ways."""
@@ -188,10 +196,10 @@ def client_page() -> bytes:
     return Path(str(distribution("viser").locate_file("viser/client/build/index.html"))).read_bytes()
 
 
-def bare_page(page: bytes) -> bytes:
-    """The client without its panel, which shows the socket's address and so the ticket, and without its notices."""
-    style = b"<style>.mantine-Paper-root,.mantine-Notifications-root{display:none!important}</style>"
-    return page.replace(b"</head>", style + b"</head>", 1)
+def without(page: bytes, *classes: str) -> bytes:
+    """The client with elements of those classes hidden."""
+    style = f"<style>{','.join(classes)}{{display:none!important}}</style>"
+    return page.replace(b"</head>", style.encode() + b"</head>", 1)
 
 
 def content_security_policy(settings: Settings) -> str:

@@ -207,7 +207,7 @@ def test_a_box_on_the_shelf_has_a_page(site, open_page):
 
 def test_an_unknown_vehicle_is_said_in_words(open_page):
     page = open_page(f"/vehicles/{'0' * 32}", expected=("404",))
-    expect(page.get_by_role("heading", level=1)).to_have_text("Not found")
+    expect(page.get_by_role("heading", level=1)).to_have_text("There is no such page")
 
 
 CONTRAST = """() => {

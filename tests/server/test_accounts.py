@@ -273,11 +273,15 @@ def test_people_get_error_pages_and_programs_problems(browser):
     page = browser.get("/vehicles/none", headers={"Accept": "text/html"})
     assert page.status_code == 404
     assert page.headers["content-type"].startswith("text/html")
-    assert "Not found" in page.text
+    assert "There is no such page" in page.text
+    assert "Not found" not in page.text
+    italian = {"Accept": "text/html", "Accept-Language": "it"}
+    for path in ("/vehicles/none", "/no/such/address"):
+        assert "Questa pagina non esiste" in browser.get(path, headers=italian).text
     assert browser.get("/vehicles/none").json()["code"] == "not_found"
     assert browser.get("/api/v1/vehicles/none", headers={"Accept": "text/html"}).json()["code"] == "not_found"
     refused = browser.post("/logout", headers={"Accept": "text/html", "X-CSRF-Token": "wrong"})
-    assert (refused.status_code, "Not allowed" in refused.text) == (403, True)
+    assert (refused.status_code, "This form is out of date" in refused.text) == (403, True)
 
 
 def test_every_deed_of_the_audit_log_has_words():

@@ -16,7 +16,7 @@ from server.errors import ProblemError
 from server.installations.blank import REASON_CODES
 from server.language import SCRIPTS, catalogue, files
 from server.pages.templating import environment, number
-from server.problems import DESCRIBED, InternalProblemError
+from server.problems import DESCRIBED, PAGES, InternalProblemError
 from server.resources import folder
 
 WEB = folder("web")
@@ -90,10 +90,7 @@ def test_a_language_says_all_and_nothing_besides(language):
     pages = wanted(WEB / "templates", ROOT / "server", suffixes=(".html", ".py"))
     scripts = {text for path in SCRIPT_FILES for text in re.findall(r'\bt\("([^"]*)"', path.read_text())}
     reasons = {f"reason:{code}" for code in (*REASONS, *THESIS_REASONS, *REASON_CODES)}
-    pages |= {error.title for error in (ProblemError, *DESCRIBED, InternalProblemError)} | {
-        "Not Found",
-        "Method Not Allowed",
-    }
+    pages |= {error.title for error in (ProblemError, *DESCRIBED, InternalProblemError) if error.code not in PAGES}
     said = {name: text for path in files(language) for name, text in kept(path, language).items()}
     of_scripts = kept(WEB / "locale" / language / SCRIPTS, language)
     assert sorted((pages | reasons | scripts) - said.keys()) == []

@@ -14,7 +14,7 @@ import sqlalchemy as sa
 from server.live import routes
 from server.live.changes import _append, announce
 from server.live.hub import QUEUE, LiveHub
-from server.models import Change, Organisation
+from server.models import AuditEntry, Change, Organisation
 from tests.e2e.service import eventually
 
 
@@ -138,6 +138,23 @@ def test_only_the_own_organisation(admin, tell, database, clock):
 def test_strangers_and_nonsense_are_refused(client, admin):
     assert client.get("/api/v1/live").status_code == 401
     assert admin.get("/api/v1/live", headers={"Last-Event-ID": "x"}).status_code == 422
+
+
+def test_pages_that_go_on_from_different_changes_are_one_look(admin, database, monkeypatch, clock):
+    monkeypatch.setattr(routes, "LIFE_S", 0.0)
+    for query in ("", "?after=744", "?after=745", "?after=745&afterwards=1", "?after=746"):
+        assert admin.get(f"/api/v1/live{query}").status_code == 200
+    clock.advance(minutes=2)
+    admin.get("/api/v1/live?after=747")
+    with database.reading() as session:
+        looks = session.scalars(
+            sa.select(AuditEntry).where(AuditEntry.action == "location.read").order_by(AuditEntry.id)
+        )
+        assert [(look.subject, look.detail) for look in looks] == [
+            ("/api/v1/live", {}),
+            ("/api/v1/live", {"query": "afterwards=1"}),
+            ("/api/v1/live", {}),
+        ]
 
 
 def test_a_quiet_stream_is_kept_alive(admin, monkeypatch):

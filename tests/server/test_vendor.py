@@ -48,4 +48,4 @@ def test_the_outline_is_geojson_on_the_globe():
 
 def test_own_scripts_stay_small():
     scripts = (folder("web") / "static" / "js").rglob("*.js")
-    assert sum(path.stat().st_size for path in scripts) <= 60 * 1024
+    assert sum(path.stat().st_size for path in scripts) < 60_000

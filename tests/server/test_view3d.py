@@ -411,6 +411,12 @@ def test_page_and_socket_end_to_end_through_the_api(app, address, client, admin,
         page = client.get(path)
         assert page.status_code == 200
         assert page.content == client_page()
+        # A replay is a picture with the player's bar, without notices over it.
+        replay = client.get(f"{path}?hideViserLogo&playbackPath=x.viser")
+        assert replay.content.replace(
+            b"<style>.mantine-Notifications-root{display:none!important}</style>", b"", 1
+        ) == (client_page())
+        assert replay.content != client_page()
         policy = page.headers["content-security-policy"]
         assert "frame-ancestors 'self'" in policy
         assert "'unsafe-eval'" in policy

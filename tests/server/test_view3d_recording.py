@@ -17,6 +17,7 @@ from fleet_world import Leg, World, cut, drive_of
 
 from server.events.canonical import settle
 from server.events.document import document_of
+from server.view3d.instants import instants
 from server.view3d.recording import Way, record
 from server.view3d.viewer import create_viewer
 
@@ -46,6 +47,24 @@ def test_the_vehicle_goes_where_the_path_went(document):
     ahead = turn @ [1.0, 0.0, 0.0]
     assert np.arctan2(-ahead[1], ahead[0]) == pytest.approx(0.6, abs=0.01)
     assert turn @ [0.0, 0.0, 1.0] == pytest.approx([0.0, 0.0, -1.0])
+
+
+def test_the_replay_begins_where_the_page_is_told(document):
+    """On the first twentieth of a second with a known place, six seconds before at the earliest."""
+    assert (instants(document)[0], instants(document)[-1]) == (-6.0, 6.0)
+    way = document["curves"]["trajectory"]
+    for k, t in enumerate(way["t_s"]):
+        if not -3.33 <= t <= 4.01:
+            way["north_m"][k] = None
+    first, last = (f(t for t in way["t_s"] if -3.33 <= t <= 4.01) for f in (min, max))
+    shown = instants(document)
+    assert 0.0 <= shown[0] - first < 0.05
+    assert 0.0 <= last - shown[-1] < 0.05
+    np.testing.assert_allclose(np.diff(shown), 0.05)
+    np.testing.assert_array_equal(Way(document).t, shown)
+    for gone in (None, {**way, "north_m": [None] * len(way["t_s"])}):
+        document["curves"]["trajectory"] = gone
+        assert (instants(document)[0], instants(document)[-1]) == (-1.0, 1.0)
 
 
 def test_a_recording_holds_frames_and_the_force(document):

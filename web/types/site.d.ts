@@ -6,7 +6,7 @@ type Layer = import("maplibre-gl").LayerSpecification;
 /** The features of a map's own sources, as they are now. */
 type Sources = () => Record<string, Feature[]>;
 type Tiles = { source: import("maplibre-gl").SourceSpecification; layers: Layer[] };
-type Feature = GeoJSON.Feature;
+type Feature = GeoJSON.Feature<Exclude<GeoJSON.Geometry, GeoJSON.GeometryCollection> & { coordinates: any }>;
 
 /** Of a list row on the map, as GET /fleet/places tells it. */
 type Spot = [id: string, url: string, name: string, mark: string, words: string, lat: number, lon: number];
@@ -19,24 +19,24 @@ type Change = {
   lat_deg?: number | null; lon_deg?: number | null; event_id?: string; revision?: number;
 };
 
-/** What scripts tell each other on the document. */
-interface DocumentEventMap {
-  "scatola:change": CustomEvent<Change>;
+/** What scripts tell each other, as events `scatola:...` of the document. */
+type News = {
+  change: Change;
   /** Parts of the page were swapped. */
-  "scatola:parts": CustomEvent;
-  "scatola:zone": CustomEvent;
+  parts: null;
+  zone: null;
   /** Under the charts' cursor: the instant (Unix s; of an event's charts s from time zero), the values, their axes. */
-  "scatola:cursor": CustomEvent<{ at: number | null; values: Column; frame?: string }>;
-  /** The instant under the pointer on the map. */
-  "scatola:place": CustomEvent<{ at: number }>;
-}
+  cursor: { at: number | null; values: Value[]; frame?: string };
+  /** The instant that the charts are to show: under the pointer on the map, or in the replay. */
+  place: { at: number };
+};
 
 interface HTMLElementTagNameMap {
   "scene-3d": import("../static/js/scene-3d.js").Scene3d;
 }
 
 /** What a 3D view of one's own shows, and what it tells of itself. */
-type Choice = { step?: string | null; before?: boolean; proposal?: number | null; at?: number | null; f?: Column; frame?: string };
+type Choice = { step?: string | null; before?: boolean; proposal?: number | null; at?: number | null; f?: Value[]; frame?: string };
 type SceneState = { onlookers: number; drawn: string[] };
 
 /** Reading codes (not in TypeScript's library). */
@@ -57,7 +57,7 @@ type SignalHeader = {
   groups: { columns: string[]; count: number }[]; gaps: [number, number][];
 };
 /** `t` in Unix seconds. */
-type Samples = { t: Float64Array; values: Float32Array };
+type Samples = { t: Float64Array; values: Column };
 type Signals = { header: SignalHeader; series: Record<string, Samples> };
 type TimeWindow = { seconds: number } | { from: string; to: string };
 

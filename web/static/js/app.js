@@ -7,7 +7,14 @@ import { t } from "./words.js";
 showTimes();
 watch();
 
-const openMenu = () => document.querySelector("details.menu[open], .rail-more[open]");
+/** Close the open menu, if any. @param {Element | null} [but] unless this is in it */
+function closeMenu(but = null) {
+  const open = document.querySelector("details.menu[open], .rail-more[open]");
+  if (!open || open.contains(but)) return;
+  // Who was inside goes on from its button.
+  if (open.contains(document.activeElement)) open.querySelector("summary")?.focus();
+  open.removeAttribute("open");
+}
 
 document.addEventListener("click", (event) => {
   const target = event.target instanceof Element ? event.target : null;
@@ -16,14 +23,11 @@ document.addEventListener("click", (event) => {
     event.preventDefault();
     void go(link.href);
   }
-  const open = openMenu();
-  if (!open?.contains(target)) open?.removeAttribute("open");
-  const button = target?.closest("[data-copy]");
-  if (!(button instanceof HTMLElement) || !button.dataset.copy) return;
-  const words = button.querySelector("span");
-  const before = words?.textContent ?? "";
-  void navigator.clipboard.writeText(button.dataset.copy).then(() => {
-    if (!words) return;
+  closeMenu(target);
+  const button = target?.closest("[data-copy]"), words = button?.querySelector("span");
+  if (!button || !words) return;
+  const before = words.textContent;
+  void navigator.clipboard.writeText(button.getAttribute("data-copy") ?? "").then(() => {
     words.textContent = t("copied");
     setTimeout(() => { words.textContent = before; }, 1500);
   });
@@ -32,23 +36,24 @@ document.addEventListener("click", (event) => {
 /** The row before or after the one that has the focus. @param {1 | -1} step */
 function move(step) {
   const links = [...document.querySelectorAll(".rows tbody th a")].filter((a) => a.checkVisibility());
-  const next = links[links.indexOf(/** @type {Element} */ (document.activeElement)) + step] ?? links[step > 0 ? 0 : links.length - 1];
+  const next = links[links.indexOf(/** @type {Element} */ (document.activeElement)) + step] ?? links.at(step > 0 ? 0 : -1);
   if (next instanceof HTMLElement) next.focus();
 }
 
 /** @type {Record<string, () => void>} */
 const KEYS = {
   "/": () => document.getElementById("search")?.focus(),
-  "?": () => /** @type {HTMLDialogElement | null} */ (document.getElementById("keys"))?.showModal(),
+  "?": () => document.querySelector("dialog")?.showModal(),
   j: () => move(1),
   k: () => move(-1),
   z: changeZone,
 };
 
 document.addEventListener("keydown", (event) => {
-  const at = event.target instanceof HTMLElement ? event.target : null;
-  if (event.key === "Escape") openMenu()?.removeAttribute("open");
-  if (event.ctrlKey || event.metaKey || event.altKey || at?.closest("input, select, textarea, dialog, [contenteditable]")) return;
+  if (event.key === "Escape") closeMenu();
   const run = KEYS[event.key];
-  if (run) { event.preventDefault(); run(); }
+  if (!run || event.ctrlKey || event.metaKey || event.altKey) return;
+  if (event.target instanceof Element && event.target.closest("input, select, textarea, dialog, [contenteditable]")) return;
+  event.preventDefault();
+  run();
 });

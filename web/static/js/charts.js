@@ -1,20 +1,22 @@
 // What the charts of signals, of events and of the live page have in common.
 
 import uPlot from "../vendor/uplot/uplot.mjs";
-import { colour, onScheme } from "./palette.js";
+import { colour, hear, onScheme, tell } from "./page.js";
 import { formatter } from "./time.js";
 import { LANGUAGE } from "./words.js";
 
 /** An element with plots, each in a place `data-plot="name"`, and a line of words. */
 export class Charts extends HTMLElement {
   /** By name. @type {Record<string, Plot>} */ plots = {};
-  /** The plot whose cursor the rest of the page follows. */ teller = "speed";
 
-  /** Fit the width; draw anew in other colours or another zone. @param {() => void} draw */
+  /** Fit the width, follow the page's instant; draw anew in other colours or another zone. @param {() => void} draw */
   keepUp(draw) {
     const anew = () => { this.discard(); draw(); };
     onScheme(anew);
-    document.addEventListener("scatola:zone", anew);
+    hear("zone", anew);
+    hear("place", ({ at }) => {
+      for (const plot of Object.values(this.plots)) plot.setCursor({ left: plot.valToPos(at, "x"), top: 1 });
+    });
     new ResizeObserver(() => {
       for (const plot of Object.values(this.plots)) {
         const width = plot.root.parentElement?.clientWidth;
@@ -24,13 +26,15 @@ export class Charts extends HTMLElement {
   }
 
   /** A plot as high as its place. @param {string} name @param {ChartOptions} options @param {Column[]} columns */
-  plot(name, { lines, ticks = clockWords, hooks, ...more }, columns) {
+  plot(name, { lines, ticks = clockWords, hooks, cursor, ...more }, columns) {
     const host = /** @type {HTMLElement} */ (this.querySelector(`[data-plot="${name}"]`));
     const axis = { stroke: colour("muted"), grid: { stroke: colour("line"), width: 1 }, ticks: { show: false }, font: "12px system-ui, sans-serif" };
     return (this.plots[name] = new uPlot({
       width: host.clientWidth, height: host.clientHeight, legend: { show: false },
       axes: [{ ...axis, space: 90, size: 30, values: ticks }, { ...axis, size: 48, values: (_, values) => values.map((value) => signed(value)) }],
       series: [{}, ...lines.map((line) => ({ width: 1.5, points: { show: false }, ...line }))],
+      scales: { x: { auto: false }, y: { range: quiet } },
+      cursor: { sync: { key: "page" }, points: { size: 6 }, ...cursor },
       hooks: { ...hooks, setCursor: [(plot) => this.#read(plot, name)] },
       ...more,
     }, /** @type {PlotData} */ (columns), host));
@@ -40,7 +44,21 @@ export class Charts extends HTMLElement {
   #read({ cursor: { idx, left = -1 }, series, data, posToVal }, name) {
     const values = data.map((column) => column[idx ?? -1]);
     series.forEach(({ label }, k) => this.put("now", `${label}`, values[k], 2));
-    if (name === this.teller) document.dispatchEvent(new CustomEvent("scatola:cursor", { detail: { at: left < 0 ? null : posToVal(left, "x"), values: values.slice(1), frame: this.dataset.frame } }));
+    // The rest of the page follows the last plot, whose time reaches farthest.
+    if (name === Object.keys(this.plots).at(-1)) tell("cursor", { at: left < 0 ? null : posToVal(left, "x"), values: values.slice(1), frame: this.dataset.frame });
+  }
+
+  /** Run when the reader presses a button; it stands among `data-choice`, or not. @param {(button: HTMLButtonElement, choice: string | undefined) => void} run */
+  onPress(run) {
+    this.addEventListener("click", ({ target }) => {
+      const button = target instanceof Element && target.closest("button");
+      if (button) run(button, button.parentElement?.dataset.choice);
+    });
+  }
+
+  /** Show what is chosen. @param {string} choice @param {string | number} value */
+  press(choice, value) {
+    for (const button of this.querySelectorAll(`[data-choice="${choice}"] button`)) button.ariaPressed = String(button.getAttribute("value") === `${value}`);
   }
 
   /** @param {string} kind @param {string} name @param {Value} value @param {number} digits */
@@ -63,6 +81,12 @@ export class Charts extends HTMLElement {
 
 /** As the language writes it, with the sign that typography has for minus. @param {number} value @param {number} [digits] */
 export const signed = (value, digits) => value.toLocaleString(LANGUAGE, { minimumFractionDigits: digits, maximumFractionDigits: digits ?? 3, useGrouping: false }).replace("-", "−");
+
+/** A quiet signal keeps a span that shows it as quiet. @type {ValueRange} */
+function quiet(_, low, high) {
+  const middle = (low + high) / 2, reach = 0.55 * Math.max(high - low, 2);
+  return [middle - reach, middle + reach];
+}
 
 /** Time of day, with the fraction when the window is short. @type {Ticks} */
 function clockWords(_, ticks) {

@@ -1,26 +1,25 @@
 // <event-charts document="url">: delta-V with its band, the pulse as recorded and as estimated, speed with its band.
 
 import { Charts, signed } from "./charts.js";
-import { fetched, whenSeen } from "./page.js";
-import { colour } from "./palette.js";
-import { SPEED, t } from "./words.js";
+import { colour, hear, read, whenSeen } from "./page.js";
+import { PER_MPS, t } from "./words.js";
 
 const SIGMAS_95 = 1.96;
 /** km/h in the reader's unit. @param {Column} values @returns {Column} */
-const speeds = (values) => values.map((v) => v === null ? v : v * SPEED.perMps / 3.6);
+const speeds = (values) => values.map((v) => v === null ? v : v * PER_MPS / 3.6);
 
 /** @type {Promise<EventDocument> | undefined} */
 let asked;
 /** The canonical JSON of the page's event, asked for once. @param {Element} element */
-export const eventDocument = (element) => (asked ??= fetched(element.getAttribute("document") ?? "").then((answer) => answer.json()));
+export const eventDocument = (element) => (asked ??= read(element.getAttribute("document") ?? ""));
 
 class EventCharts extends Charts {
   connectedCallback() {
     const draw = () => void this.#draw();
     whenSeen(this, () => { draw(); this.keepUp(draw); });
-    document.addEventListener("scatola:change", ({ detail: change }) => {
+    hear("change", ({ kind, revision, event_id: id = "-" }) => {
       // A further revision of this event.
-      if (change.kind !== "event" || !change.revision || !this.getAttribute("document")?.includes(change.event_id ?? "-")) return;
+      if (kind !== "event" || !revision || !this.getAttribute("document")?.includes(id)) return;
       asked = undefined;
       draw();
     });
@@ -54,17 +53,16 @@ class EventCharts extends Charts {
     /** @type {ChartOptions["bands"]} */ const bands = [];
     for (const [k, { values, sigma, ...line }] of curves.entries()) {
       if (sigma) {
-        const reach = (/** @type {1 | -1} */ side) => values.map((v, k) => (v === null || typeof sigma[k] !== "number" ? null : v + side * SIGMAS_95 * sigma[k]));
+        const reach = (/** @type {1 | -1} */ side) => values.map((v, k) => (v === null || sigma[k] == null ? null : v + side * SIGMAS_95 * sigma[k]));
         columns.push(reach(1), reach(-1));
         lines.push({}, {});
         bands.push({ series: [lines.length - 1, lines.length], fill: `${line.stroke}33` });
       }
       columns.push(values);
-      lines.push({ ...line, label: name + k, width: 1.8 });
+      lines.push({ ...line, label: name + k });
     }
     this.plot(name, {
       lines, bands, scales: { x: { time: false } }, ticks: (_, values) => values.map((value) => `${signed(unit === "s" ? value : 1000 * value)} ${unit}`),
-      cursor: { drag: { x: true, y: false }, points: { size: 6 }, sync: { key: "event" } },
     }, columns);
   }
 }

@@ -1,41 +1,35 @@
 // <event-map document="url" tiles="" pmtiles="">: the way before and after an event, its 95 % ellipses, where it happened and ended.
 
-import { METRES_PER_DEGREE, feature, fit, makeMap, put } from "./basemap.js";
+import { GroundMap, METRES_PER_DEGREE, feature } from "./basemap.js";
 import { eventDocument } from "./event-charts.js";
-import { whenSeen } from "./page.js";
+import { hear, whenSeen } from "./page.js";
 import { t } from "./words.js";
 
 const SHOWN_BEFORE_S = 20, SHOWN_AFTER_S = 10, ELLIPSE_EVERY_S = 5;
 
-class EventMap extends HTMLElement {
-  connectedCallback() { whenSeen(this, () => void this.#open()); }
+class EventMap extends GroundMap {
+  connectedCallback() { whenSeen(this, () => void this.#draw()); }
 
-  async #open() {
+  async #draw() {
     const found = await eventDocument(this).catch(() => undefined), way = found?.curves.trajectory;
     if (!way) return;
-    const rest = found.event.rest ? found.event.rest.t_s - found.event.t0_s : null;
-    const points = placed(way);
-    const map = await makeMap(this, "event", () => features(way, points, rest));
+    const { rest, t0_s } = found.event, points = placed(way);
+    await this.open("event", () => features(way, points, rest && rest.t_s - t0_s));
     const near = points.filter(({ t }) => t >= -SHOWN_BEFORE_S && t <= SHOWN_AFTER_S);
-    fit(map, (near.length ? near : points).map(({ place }) => place), 18);
-    document.addEventListener("scatola:cursor", ({ detail: { at } }) => {
-      put(map, "cursor", mark(points, at));
+    this.fit("way", (near.length ? near : points).map(({ place }) => place), 18);
+    hear("cursor", ({ at }) => {
+      this.put({ cursor: mark(points, at) });
       this.dataset.cursor = `${at ?? ""}`;
     });
     this.dataset.points = String(points.length);
   }
 }
 
-/** @param {Way} way */
-function placed(way) {
-  /** @type {Point[]} */
-  const points = [];
-  way.t_s.forEach((t, k) => {
-    const lat = way.lat_deg[k], lon = way.lon_deg[k];
-    if (t !== null && typeof lat === "number" && typeof lon === "number") points.push({ t, place: [lon, lat], k });
-  });
-  return points;
-}
+/** @param {Way} way @returns {Point[]} */
+const placed = ({ t_s, lat_deg, lon_deg }) => t_s.flatMap((t, k) => {
+  const lat = lat_deg[k], lon = lon_deg[k];
+  return t !== null && lat != null && lon != null ? [{ t, place: [lon, lat], k }] : [];
+});
 
 /** @param {Way} way @param {Point[]} points @param {number | null} rest */
 function features(way, points, rest) {
@@ -60,7 +54,7 @@ function mark(points, wanted, words, say) {
 
 /** An ellipse on the ground. @param {LonLat} place @param {Value} long m @param {Value} short m @param {Value} turn degrees from north */
 function ellipse([lon, lat], long, short, turn) {
-  if (typeof long !== "number" || typeof short !== "number" || typeof turn !== "number") return [];
+  if (long == null || short == null || turn == null) return [];
   const angle = (turn * Math.PI) / 180, east = METRES_PER_DEGREE * Math.cos((lat * Math.PI) / 180);
   const ring = Array.from({ length: 41 }, (_, k) => {
     const a = long * Math.cos((k * Math.PI) / 20), b = short * Math.sin((k * Math.PI) / 20);

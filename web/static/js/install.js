@@ -1,6 +1,6 @@
 // The installation assistant: scanning a code, orientations in 3D, a sign when the box is ready.
 
-import { told } from "./page.js";
+import { hear, told } from "./page.js";
 import "./scene-3d.js";
 import { t } from "./words.js";
 
@@ -52,7 +52,7 @@ const ready = () => told("progress").ready === "yes";
 let was = ready();
 
 signal?.addEventListener("change", () => { audio ??= new AudioContext(); });
-document.addEventListener("scatola:parts", () => {
+hear("parts", () => {
   if (ready() && !was && audio && signal instanceof HTMLInputElement && signal.checked) {
     navigator.vibrate?.([200, 100, 200]);
     const tone = new OscillatorNode(audio, { frequency: 880 });

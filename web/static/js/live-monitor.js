@@ -2,10 +2,8 @@
 // The stream says that there is more; only what is new is fetched, and the view glides on between uploads.
 
 import { Charts } from "./charts.js";
-import { pressedButton } from "./page.js";
-import { colour } from "./palette.js";
+import { colour, hear } from "./page.js";
 import { fetchSignals, iso } from "./signals.js";
-import { SPEED } from "./words.js";
 
 const KEEP_S = 360, STALE_S = 600, GAP_S = 2;
 /** @type {Record<string, string[]>} */
@@ -15,28 +13,37 @@ class LiveMonitor extends Charts {
   /** @type {Record<string, Column[]>} */ #data = {};
   /** Seconds in view, and of the past that is here. */ #window = 30; #span = 0;
   /** Times in s. */ #newest = 0; #arrived = 0; #contact = 0; #paused = 0; #drawn = 0;
-  /** @type {Promise<void> | undefined} */ #asking;
-  #again = false;
+  #asking = false; #again = false;
 
   connectedCallback() {
-    this.addEventListener("click", (event) => this.#press(event));
-    document.addEventListener("scatola:change", ({ detail }) => {
-      if (detail.device_id !== this.getAttribute("device")) return;
+    this.onPress((button, choice) => {
+      const on = button.ariaPressed !== "true";
+      button.ariaPressed = String(on);
+      if (choice === "window") {
+        this.#window = Number(button.value);
+        this.press(choice, button.value);
+        void this.#ask();
+      } else if (choice) this.querySelector(`[data-group="${button.value}"]`)?.toggleAttribute("hidden", !on);
+      else this.#paused = on ? this.#newest : 0;
+    });
+    hear("change", ({ device_id: id }) => {
+      if (id !== this.getAttribute("device")) return;
       this.#contact = Date.now() / 1000;
-      this.#ask();
+      void this.#ask();
     });
     this.keepUp(() => {});
-    this.#ask();
+    void this.#ask();
     requestAnimationFrame(this.#frame);
   }
 
-  #ask() {
-    this.#again = !!this.#asking;
-    this.#asking ??= this.#fetch().then(() => "", (/** @type {Error} */ problem) => problem.message).then((words) => {
-      this.say(words);
-      this.#asking = undefined;
-      if (this.#again) this.#ask();
-    });
+  async #ask() {
+    this.#again = true;
+    if (this.#asking) return;
+    for (this.#asking = true; this.#again;) {
+      this.#again = false;
+      this.say(await this.#fetch().catch(({ message }) => message) ?? "");
+    }
+    this.#asking = false;
   }
 
   async #fetch() {
@@ -50,9 +57,8 @@ class LiveMonitor extends Charts {
       series[names[0] ?? ""]?.t.forEach((at, row) => {
         const last = times.at(-1) ?? -Infinity;
         if (at < last + 1e-4) return;
-        const values = names.map((name) => series[name]?.values[row] ?? NaN);
         if (at - last > GAP_S && last > 0) columns.forEach((column, k) => column.push(k ? null : (at + last) / 2));
-        columns.forEach((column, k) => { const v = values[k - 1] ?? at; column.push(Number.isNaN(v) ? null : group === "speed" && k ? v * SPEED.perMps : v); });
+        columns.forEach((column, k) => column.push(k ? series[names[k - 1] ?? ""]?.values[row] ?? null : at));
         this.#newest = Math.max(this.#newest, at);
       });
       const old = times.findIndex((at) => (at ?? 0) > this.#newest - KEEP_S);
@@ -71,42 +77,13 @@ class LiveMonitor extends Charts {
     this.put("age", "sample", Date.now() / 1000 - this.#newest, 1);
     if (this.#contact) this.put("age", "contact", Date.now() / 1000 - this.#contact, 0);
     const max = this.#paused || this.#newest + Math.min((now - this.#arrived) / 1000, this.#window / 2);
-    for (const group of Object.keys(GROUPS)) {
-      if (!this.#part(group)?.hasAttribute("hidden")) (this.plots[group] ?? this.#plot(group)).setScale("x", { min: max - this.#window, max });
+    for (const [group, names] of Object.entries(GROUPS)) {
+      if (this.querySelector(`[data-group="${group}"]`)?.hasAttribute("hidden")) continue;
+      const lines = names.map((name) => ({ stroke: colour(names.length > 1 ? `axis-${name[1]}` : "track") }));
+      const plot = this.plots[group] ?? this.plot(group, { lines, cursor: { show: false } }, this.#data[group] ?? [[]]);
+      plot.setScale("x", { min: max - this.#window, max });
     }
   };
-
-  /** @param {string} group */
-  #part(group) { return this.querySelector(`[data-group="${group}"]`); }
-
-  /** @param {string} group */
-  #plot(group) {
-    const names = GROUPS[group] ?? [];
-    return this.plot(group, {
-      lines: names.map((name) => ({ stroke: colour(names.length > 1 ? `axis-${name[1]}` : "track"), width: 1.2 })), cursor: { show: false },
-      scales: { x: { auto: false }, y: { range } },
-    }, this.#data[group] ?? [[]]);
-  }
-
-  /** @param {Event} event */
-  #press(event) {
-    const button = pressedButton(event);
-    if (!button) return;
-    const choice = button.parentElement?.dataset.choice, on = button.ariaPressed !== "true";
-    button.ariaPressed = String(on);
-    if (choice === "window") {
-      this.#window = Number(button.value);
-      for (const one of button.parentElement?.children ?? []) one.ariaPressed = String(one === button);
-      this.#ask();
-    } else if (choice) this.#part(button.value)?.toggleAttribute("hidden", !on);
-    else this.#paused = on ? this.#newest : 0;
-  }
-}
-
-/** @type {ValueRange} */
-function range(_, low, high) {
-  const room = 0.1 * (high - low) + 0.5;
-  return [low - room, high + room];
 }
 
 customElements.define("live-monitor", LiveMonitor);

@@ -2,6 +2,7 @@
 // events, resumed by Last-Event-ID); the page then fetches itself and swaps the parts marked
 // data-live, so there is one way a number gets on the screen.
 
+import { tell } from "./page.js";
 import { formatTimes } from "./time.js";
 import { t } from "./words.js";
 
@@ -39,7 +40,7 @@ function connect() {
     source.addEventListener(kind, (event) => {
       /** @type {Change} */
       const change = { kind, ...JSON.parse(event.data) };
-      document.dispatchEvent(new CustomEvent("scatola:change", { detail: change }));
+      tell("change", change);
       if (concerns(change)) refreshSoon(kind === "event" || kind === "alert" ? URGENT_MS : SETTLE_MS);
     });
   }
@@ -55,19 +56,18 @@ function concerns({ kind, device_id: device, vehicle_id: vehicle }) {
 
 /** @param {"on" | "off"} state @param {string} words */
 function say(state, words) {
-  const sign = document.getElementById("live");
-  const text = document.getElementById("live-words");
+  const sign = document.getElementById("live"), text = document.getElementById("live-words");
   if (sign && text) { sign.dataset.state = state; text.textContent = words; }
 }
 
 /** When the waiting refresh is due. */
-let dueAt = 0;
+let dueAt = Infinity;
 
 /** @param {number} within milliseconds */
 function refreshSoon(within = SETTLE_MS) {
   stale = true;
   const at = Math.max(performance.now() + within, within === URGENT_MS ? 0 : restUntil);
-  if (document.hidden || (pending !== undefined && dueAt <= at)) return;
+  if (document.hidden || dueAt <= at) return;
   clearTimeout(pending);
   dueAt = at;
   pending = setTimeout(refresh, at - performance.now());
@@ -89,22 +89,21 @@ async function refresh() {
   } catch {
     say("off", t("Reconnecting"));
   } finally {
-    pending = undefined;
+    dueAt = Infinity;
     restUntil = performance.now() + REST_PER_WORK * (performance.now() - began);
     if (stale) refreshSoon();
   }
 }
 
-/** @type {WeakMap<Element, string>} What the server last sent for a part: the times in it were rewritten since. */
+/** @type {WeakMap<Element, string | undefined>} What the server last sent for a part: the times in it were rewritten since. */
 const sent = new WeakMap();
 
 /** @param {Document} fresh */
 function swap(fresh) {
   for (const part of document.querySelectorAll("[data-live]")) {
-    const next = fresh.getElementById(part.id);
+    const next = fresh.getElementById(part.id), html = next?.outerHTML;
     // Nobody loses what is being typed.
-    if (!next || sent.get(part) === next.outerHTML || part.querySelector(".menu[open], input:focus")) continue;
-    const html = next.outerHTML;
+    if (!next || sent.get(part) === html || part.querySelector(".menu[open], input:focus")) continue;
     const focused = part.querySelector("a:focus")?.getAttribute("href");
     const adopted = document.adoptNode(next);
     formatTimes(adopted);
@@ -113,5 +112,5 @@ function swap(fresh) {
     sent.set(adopted, html);
     if (focused) [...adopted.querySelectorAll("a")].find((a) => a.getAttribute("href") === focused)?.focus({ preventScroll: true });
   }
-  document.dispatchEvent(new CustomEvent("scatola:parts"));
+  tell("parts", null);
 }

@@ -1,7 +1,7 @@
 // The mounting in 3D: the slider walks through the history; page and picture show the same step.
 
 import { go } from "./live.js";
-import { told } from "./page.js";
+import { hear, told } from "./page.js";
 import "./scene-3d.js";
 
 const slider = /** @type {HTMLInputElement} */ (document.getElementById("step"));
@@ -10,8 +10,7 @@ const ghost = /** @type {HTMLInputElement} */ (document.getElementById("before")
 
 /** The step under the slider; none for the newest, which goes on with the data. */
 function show() {
-  const steps = told("moment").steps?.split(" ") ?? [];
-  const step = steps.slice(0, -1)[Number(slider.value)];
+  const step = told("moment").steps?.split(" ").slice(0, -1)[Number(slider.value)];
   document.querySelector("scene-3d")?.show({ step: step ?? null, before: ghost.checked });
   return new URLSearchParams({ ...(step && { step }), ...(ghost.checked && { before: "true" }) });
 }
@@ -33,5 +32,5 @@ function follow() {
 
 slider.addEventListener("input", changed);
 ghost.addEventListener("change", changed);
-document.addEventListener("scatola:parts", follow);
+hear("parts", follow);
 follow();

@@ -1,66 +1,89 @@
-// <scene-3d device="id" [event="id"] [own]>: the box's 3D view, or a recorded replay of one of its events with viser's
-// player, in a frame of our own origin, opened with a short-lived ticket.  `own`: a scene that nobody else sees, which
-// shows what `show` asks for; the page looks after it and says when it is gone.
+// <scene-3d device="id">: the box's 3D view, a scene that nobody else sees, which shows what `show` asks for; the page
+// looks after it and says when it is gone.  <scene-3d event="id" from="s" to="s">: a recorded replay in viser's player,
+// which follows the charts' cursor and leads it.  In a frame of our own origin, opened with a short-lived ticket.
 
-import { csrf, fetched, gathered, make, whenSeen } from "./page.js";
+import { fetched, gathered, hear, make, read, tell, whenSeen } from "./page.js";
 import { t } from "./words.js";
 
-const LOOK_MS = 3000;
-/** Until the view has connected. */
-const FIRST_LOOK_MS = 600;
-const PATIENCE = 50;
-const SOON_MS = 120;
+const LOOK_MS = 3000, SOON_MS = 120;
+/** Until the view has connected, and how often. */
+const FIRST_LOOK_MS = 600, PATIENCE = 50;
+/** As fine as the replay's frames. */
+const FOLLOW_MS = 50;
 
 export class Scene3d extends HTMLElement {
   #base = "";
-  /** @type {Choice} */ #wanted = {};
-  #told = true;
+  /** What the view is to show, and what it was told last: a Choice in JSON. */ #wanted = "{}"; #told = "{}";
+  /** The instant that the reader points at, until the replay shows it. @type {number | null} */ #sought = null;
+  get #event() { return this.getAttribute("event"); }
 
   connectedCallback() {
     whenSeen(this, () => void this.#open());
     // What was at the instant under the charts' cursor.
-    document.addEventListener("scatola:cursor", ({ detail: { at, values, frame } }) => this.show(at === null ? {} : { at, f: values, frame }));
+    hear("cursor", ({ at, values, frame }) => {
+      if (this.#event) this.#sought = at;
+      else this.show(at === null ? {} : { at, f: values, frame });
+    });
   }
 
   /** Show something else of the box's history. @param {Choice} choice */
   show(choice) {
-    if (JSON.stringify(choice) === JSON.stringify(this.#wanted)) return;
-    this.#wanted = choice;
-    this.#told = false;
-    if (this.dataset.state === "open") this.#soon();
+    this.#wanted = JSON.stringify(choice);
+    if (this.#wanted !== this.#told) this.#soon();
   }
 
-  #soon = gathered(SOON_MS, () => void this.#ask());
+  #soon = gathered(SOON_MS, () => { if (this.dataset.state === "open") void this.#ask(); });
 
   async #open() {
-    this.#say(t("Opening the 3D view"));
-    this.dataset.state = "opening";
+    this.#say("opening", t("Opening the 3D view"));
     try {
-      const event = this.getAttribute("event");
-      const subject = event ? `events/${event}` : `devices/${this.getAttribute("device")}`;
-      const ticket = await fetched(`/api/v1/${subject}/view-ticket`, { method: "POST", headers: csrf() });
+      const event = this.#event, subject = event ? `events/${event}` : `devices/${this.getAttribute("device")}`;
       /** @type {{url: string}} */
-      const { url } = await ticket.json();
-      const own = this.hasAttribute("own");
-      this.#base = own ? `${url}mounting/` : url;
+      const { url } = await read(`/api/v1/${subject}/view-ticket`, { method: "POST" });
+      this.#base = event ? url : `${url}mounting/`;
       // Asked first, because a frame does not tell its page that it got an error.
-      const view = await fetched(own ? `${this.#base}state` : url);
+      const view = await fetched(event ? url : `${this.#base}state`);
       void view.body?.cancel();
-      const recording = event ? `${url}events/${event}.viser` : "";
-      const frame = make("iframe", "");
+      const frame = make("iframe");
       const dark = matchMedia("(prefers-color-scheme: dark)").matches;
       frame.title = event ? t("Replay of the event, in three dimensions") : t("Box in the vehicle, in three dimensions");
-      frame.src = `${this.#base}?hideViserLogo${dark ? "&darkMode" : ""}${recording && `&playbackPath=${encodeURIComponent(recording)}`}`;
+      frame.src = `${this.#base}?hideViserLogo${dark ? "&darkMode" : ""}${event ? `&playbackPath=${encodeURIComponent(`${url}events/${event}.viser`)}` : ""}`;
       this.replaceChildren(frame);
-      if (own) void this.#lookAfter(frame);
+      if (event) this.#link(frame);
+      else void this.#lookAfter(frame);
     } catch {
       this.#lost(t("The 3D view is not running"));
     }
   }
 
+  /** One instant in the replay and the charts: where the reader points, else where the replay went. @param {HTMLIFrameElement} frame */
+  #link(frame) {
+    const from = Number(this.getAttribute("from")), to = Number(this.getAttribute("to"));
+    let shown = "";
+    setInterval(() => {
+      /** The player's time, s from `from`. @type {HTMLInputElement | null | undefined} */
+      const time = frame.contentDocument?.querySelector('input[inputmode="decimal"]');
+      if (!time) return;
+      if (this.#sought !== null) {
+        // The player would take the focus, and the page would jump to it.
+        time.focus = () => {};
+        // React keeps a setter of its own on the element; the player pauses.
+        Reflect.set(HTMLInputElement.prototype, "value", (Math.min(Math.max(this.#sought, from), to) - from).toFixed(2), time);
+        time.dispatchEvent(new Event("input", { bubbles: true }));
+        // What it then shows is the reader's instant, not to be told.
+        shown = "";
+      } else if (time.value !== shown) {
+        if (shown) tell("place", { at: from + Number(time.value) });
+        shown = time.value;
+      }
+      // Also what the charts' cursor said when it was led: an echo.
+      this.#sought = null;
+    }, FOLLOW_MS);
+  }
+
   /** @param {HTMLIFrameElement} frame */
   async #lookAfter(frame) {
-    this.#told = Object.keys(this.#wanted).length === 0;
+    this.#told = "{}";
     for (let silent = 0; frame.isConnected;) {
       await new Promise((go) => setTimeout(go, this.dataset.state === "open" ? LOOK_MS : FIRST_LOOK_MS));
       if (document.hidden) continue;
@@ -69,7 +92,7 @@ export class Scene3d extends HTMLElement {
       if (state?.onlookers) {
         silent = 0;
         this.dataset.state = "open";
-        if (!this.#told) await this.#ask();
+        if (this.#wanted !== this.#told) await this.#ask();
       } else if (++silent > (this.dataset.state === "open" ? 1 : PATIENCE)) {
         this.#lost(t("The connection to the 3D view was lost. All figures are beside it."));
         return;
@@ -79,32 +102,30 @@ export class Scene3d extends HTMLElement {
 
   /** What the view shows; tells it first what it should, once it is there. @returns {Promise<SceneState | null>} */
   async #ask() {
-    const tell = !this.#told && this.dataset.state === "open";
-    this.#told ||= tell;
+    const body = this.#wanted, telling = this.dataset.state === "open" && body !== this.#told;
     try {
-      const answer = await fetched(`${this.#base}state`, tell ? { method: "PUT", headers: csrf(), body: JSON.stringify(this.#wanted) } : {});
       /** @type {SceneState} */
-      const state = await answer.json();
+      const state = await read(`${this.#base}state`, telling ? { method: "PUT", body } : {});
+      if (telling) this.#told = body;
       this.dataset.drawn = state.drawn.join(" ");
       return state;
     } catch {
-      if (tell) this.#told = false;
       return null;
     }
   }
 
   /** @param {string} words */
   #lost(words) {
-    this.dataset.state = "lost";
-    const again = make("button", "", t("Try again"));
-    again.type = "button";
+    const again = make("button", t("Try again"));
     again.addEventListener("click", () => void this.#open());
-    this.#say(words, again);
+    this.#say("lost", words, again);
   }
 
-  /** @param {string} words @param {HTMLElement[]} more */
-  #say(words, ...more) {
-    const box = make("div", "scene-words", make("p", "", words), ...more);
+  /** @param {string} state @param {string} words @param {HTMLElement[]} more */
+  #say(state, words, ...more) {
+    this.dataset.state = state;
+    const box = make("div", make("p", words), ...more);
+    box.className = "scene-words";
     box.role = "status";
     this.replaceChildren(box);
   }

@@ -1,14 +1,13 @@
-import { t } from "./words.js";
+import { PER_MPS, t } from "./words.js";
 
-/** Samples of a box; fails with words for the reader. @param {string | null} device @param {Record<string, any>} query @param {AbortSignal} [signal] */
+/** Samples of a box, speeds in the reader's unit; fails with words for the reader. @param {string | null} device @param {Record<string, any>} query @param {AbortSignal} [signal] */
 export async function fetchSignals(device, query, signal) {
   const answer = await fetch(`/api/v1/devices/${device}/signals?${new URLSearchParams(query)}`, { signal }).catch((error) => {
     throw new Error(t("The service cannot be reached."), { cause: error });
   });
   if (answer.ok) return decode(await answer.arrayBuffer());
-  /** @type {{detail?: string}} */
-  const problem = await answer.json().catch(() => ({}));
-  throw new Error(problem.detail ?? t("The signals could not be read"));
+  const { detail } = await answer.json().catch(() => ({}));
+  throw new Error(detail ?? t("The signals could not be read"));
 }
 
 /** @param {number} s Unix seconds */
@@ -28,7 +27,8 @@ function decode(body) {
     const t = new Float64Array(body.slice(offset, offset + 8 * count)).map((s) => t0 + s);
     offset += 8 * count;
     for (const name of columns) {
-      series[name] = { t, values: new Float32Array(body.slice(offset, offset + 4 * count)) };
+      const factor = name === "speed" ? PER_MPS : 1;
+      series[name] = { t, values: Array.from(new Float32Array(body.slice(offset, offset + 4 * count)), (v) => (Number.isNaN(v) ? null : v * factor)) };
       offset += 4 * count;
     }
   }

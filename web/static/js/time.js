@@ -1,5 +1,6 @@
 // Times come from the server in UTC and are shown in the reader's zone, or in UTC at the press of a button.
 
+import { tell } from "./page.js";
 import { LANGUAGE } from "./words.js";
 
 const KEY = "scatola:utc";
@@ -16,9 +17,9 @@ const CLOCK = /** @type {const} */ ({ ...DATE, hour: "2-digit", minute: "2-digit
 
 const since = new Intl.RelativeTimeFormat(LANGUAGE, { numeric: "auto", style: "short" });
 
-/** @param {Date} at @param {number} now milliseconds @param {Intl.DateTimeFormat} day */
-function ago(at, now, day) {
-  const s = Math.max(Math.round((now - at.getTime()) / 1000), 0);
+/** @param {Date} at @param {Intl.DateTimeFormat} day */
+function ago(at, day) {
+  const s = Math.max(Math.round((Date.now() - at.getTime()) / 1000), 0);
   if (s < MINUTE_S) return since.format((s % 5) - s, "second");
   if (s < HOUR_S) return since.format(-Math.floor(s / MINUTE_S), "minute");
   return s < DAY_S ? since.format(-Math.floor(s / HOUR_S), "hour") : day.format(at);
@@ -26,34 +27,31 @@ function ago(at, now, day) {
 
 /** Words for every time element below a root. @param {ParentNode} root */
 export function formatTimes(root = document) {
-  const now = Date.now(), day = formatter({ ...DATE, year: "numeric" });
+  const day = formatter({ ...DATE, year: "numeric" });
   const short = formatter(CLOCK), full = formatter({ ...CLOCK, year: "numeric", second: "2-digit" });
   for (const element of root.querySelectorAll("time")) {
-    const at = new Date(element.dateTime);
-    const style = element.dataset.style;
-    const words = style === "ago" ? ago(at, now, day) : (style === "short" ? short : full).format(at);
+    const at = new Date(element.dateTime), { style } = element.dataset;
+    const words = style === "ago" ? ago(at, day) : (style === "short" ? short : full).format(at);
     if (element.textContent !== words) element.textContent = words;
-    const title = `${full.format(at)} (${at.toISOString().slice(0, 19)}Z)`;
-    if (element.title !== title) element.title = title;
+    element.title = `${full.format(at)} (${at.toISOString().slice(0, 19)}Z)`;
   }
 }
 
-function sayZone() {
+function show() {
   const zone = document.querySelector("#zone span");
   if (zone) zone.textContent = utc ? "UTC" : Intl.DateTimeFormat().resolvedOptions().timeZone;
+  formatTimes();
 }
 
 export function changeZone() {
   utc = !utc;
   localStorage.setItem(KEY, utc ? "1" : "");
-  sayZone();
-  formatTimes();
-  document.dispatchEvent(new CustomEvent("scatola:zone"));
+  show();
+  tell("zone", null);
 }
 
 export function showTimes() {
-  sayZone();
+  show();
   document.getElementById("zone")?.addEventListener("click", changeZone);
-  formatTimes();
   setInterval(formatTimes, 5000);
 }

@@ -11,4 +11,5 @@ export function t(words, values = {}) {
 }
 
 export const UNITS = document.documentElement.dataset.units === "imperial" ? "imperial" : "metric";
-export const SPEED = UNITS === "imperial" ? { unit: "mph", perMps: 3600 / 1609.344 } : { unit: "km/h", perMps: 3.6 };
+/** The reader's speed for 1 m/s. */
+export const PER_MPS = UNITS === "imperial" ? 3600 / 1609.344 : 3.6;
