@@ -21,7 +21,7 @@ from nav_core.typing import Floats, Integers, finite, trailing
 
 Discretisation = Literal["exact", "approximate"]
 
-_SMALL = 1e-3
+_SMALL = 0.1
 """Angle of a step, rad, below which the closed forms are summed as series: they divide by its fifth power."""
 
 
@@ -218,7 +218,13 @@ def _series(x: float) -> tuple[float, float, float, float, float]:
     """
     if x < _SMALL:
         y = x * x
-        return 1 - y / 6, 0.5 - y / 24, 1 / 6 - y / 120, 1 / 24 - y / 720, 1 / 60 - y / 2520
+        return (
+            1 - y / 6 * (1 - y / 20 * (1 - y / 42)),
+            0.5 - y / 24 * (1 - y / 30 * (1 - y / 56)),
+            1 / 6 - y / 120 * (1 - y / 42 * (1 - y / 72)),
+            1 / 24 - y / 720 * (1 - y / 56 * (1 - y / 90)),
+            1 / 60 - y / 2520 * (1 - y / 72 * (1 - y / 110)),
+        )
     s, c = float(np.sin(x)), float(np.cos(x))
     fifth = (x**3 / 3 + 2 * s - 2 * x) / x**5
     fourth = (x * x / 2 + c - 1) / x**4

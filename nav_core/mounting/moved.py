@@ -19,8 +19,7 @@ from nav_core.mounting.confidence import FLOOR, assess
 from nav_core.mounting.model import MILLI_G, TURN, Noise
 from nav_core.mounting.quality import excitation, fits_a_car
 from nav_core.mounting.refine import BLOCK, HUBER, Fit, weigh
-from nav_core.mounting.smoothing import as_received
-from nav_core.mounting.solution import Solution, between, solve
+from nav_core.mounting.solution import Solution, between, matched, solve
 from nav_core.mounting.stretch import Record
 from nav_core.rotation import error_between
 from nav_core.typing import Floats
@@ -64,8 +63,13 @@ _RANGE = np.radians(30.0)
 class Piece(NamedTuple):
     """A stretch of a drive with one mounting."""
 
-    record: Record
+    logged: Record
     solution: Solution
+
+    @property
+    def record(self) -> Record:
+        """What the solution is of: as the receiver's smoothing has it."""
+        return self.solution.record
 
 
 def tilt_suspicion(record: Record) -> float | None:
@@ -155,24 +159,29 @@ def pieces_of(record: Record, noise: Noise, *, depth: int = MAX_DEPTH) -> list[P
     Returns
     -------
     list of Piece
-        In order of time; one where the box stayed put.
+        In order of time; one where the box stayed put.  Whether the receiver smooths is asked of each piece once
+        it stands: a box that swings or is thrown looks like smoothing too, and would be explained away.
     """
+    return [Piece(solution.record, matched(solution, noise)) for solution in _still(record, noise, depth)]
+
+
+def _still(record: Record, noise: Noise, depth: int) -> list[Solution]:
+    """Of the stretches during which the box did not move, in order of time."""
     solution = solve(record, noise)
-    whole = Piece(solution.record, solution)
     if depth == 0:
-        return [whole]
+        return [solution]
     # The rough fit holds the noise of an ordinary drive, but of a long one it knows an excerpt only.
     evidence = solution.fit if solution.fit.gram.shape[0] > solution.rough.gram.shape[0] else solution.rough
     for when in (tilt_suspicion(record), evidence_suspicion(evidence)):
         cut = None if when is None else _confirmed(record, when, noise)
         if cut is not None:
             first, second = cut
-            return pieces_of(first, noise, depth=depth - 1) + pieces_of(second, noise, depth=depth - 1)
+            return _still(first, noise, depth - 1) + _still(second, noise, depth - 1)
         apart = None if when is None else _between_trips(record, noise)
         if apart is not None:
             first, second = apart
-            return pieces_of(first, noise, depth=depth - 1) + pieces_of(second, noise, depth=depth - 1)
-    return [whole]
+            return _still(first, noise, depth - 1) + _still(second, noise, depth - 1)
+    return [solution]
 
 
 def _between_trips(record: Record, noise: Noise) -> tuple[Record, Record] | None:
@@ -209,7 +218,7 @@ def _confirmed(record: Record, when: float, noise: Noise) -> tuple[Record, Recor
         if not _differ(sides, before, after):
             break
         confirmed = sides
-        sharper = _moment(record, when, before, after.fit, noise)
+        sharper = _moment(record, when, before.fit, after.fit, noise)
         if abs(sharper - when) < BLOCK:
             break
         when = sharper
@@ -254,7 +263,7 @@ def _tilt_seen(sides: tuple[Record, Record]) -> float:
     return _angle(before, after)
 
 
-def _moment(record: Record, when: float, known: Solution, after: Fit, noise: Noise) -> float:
+def _moment(record: Record, when: float, before: Fit, after: Fit, noise: Noise) -> float:
     """Box time of the move, near a guess, that makes the record most likely, given both mountings.
 
     The sides differ in biases, gains and lags as well, which says nothing of the moment: the turn alone
@@ -264,8 +273,6 @@ def _moment(record: Record, when: float, known: Solution, after: Fit, noise: Noi
     near = between(record, when - NEIGHBOURHOOD, when + NEIGHBOURHOOD)
     if near.fixes.t.size < 2:
         return when  # in a long tunnel: no fix is near enough to tell
-    before = known.fit
-    near = as_received(near, known.smoothing, before.R_va, before.speed_lag)
     turn = Rotation.from_matrix(after.R_va @ before.R_va.T).as_rotvec()
     small = float(np.linalg.norm(turn)) < LINEAR
     lags = (before.speed_lag, before.course_lag)

@@ -35,7 +35,7 @@ _SETTLED = 0.05
 
 
 def solve(record: Record, noise: Noise) -> Solution:
-    """Best mounting of a record during which the box did not move.
+    """Best mounting of a record during which the box did not move, from a receiver that does not smooth.
 
     Parameters
     ----------
@@ -51,6 +51,29 @@ def solve(record: Record, noise: Noise) -> Solution:
     part = excerpt(record, EXCERPT)
     first = start(part, noise)
     rough = refine(part, first, noise)
+    suited = adapted(part, rough.R_va, (rough.speed_lag, rough.course_lag), noise, rough.p, HUBER)
+    if part is record and suited == noise:
+        return Solution(first, rough, rough, record, 0.0)
+    return Solution(first, rough, refine(record, _near(first, rough), suited, rough.p), record, 0.0)
+
+
+def matched(solution: Solution, noise: Noise) -> Solution:
+    """The solution with the receiver's smoothing taken into account, where it clearly smooths.
+
+    Parameters
+    ----------
+    solution : Solution
+        Of a record as it was logged.
+    noise : Noise
+        Least noise levels.
+
+    Returns
+    -------
+    Solution
+        The same where nothing speaks for smoothing.
+    """
+    record, first, rough = solution.record, solution.start, solution.rough
+    part = excerpt(record, EXCERPT)
     seen, smoothing = part, 0.0
     for _ in range(_ROUNDS):
         time = smoothing_time(part, rough, noise, smoothing)
@@ -62,15 +85,17 @@ def solve(record: Record, noise: Noise) -> Solution:
             R_va=rough.R_va, speed_lag=lag, course_lag=max(rough.course_lag + smoothing - time, 0.0)
         )
         rough, smoothing = refine(seen, better, noise, rough.p), time
-    lags = (rough.speed_lag, rough.course_lag)
-    suited = adapted(seen, rough.R_va, lags, noise, rough.p, HUBER)
-    if smoothing:
-        first = start(seen, noise)
-    whole = seen if part is record else as_received(record, smoothing, rough.R_va, lags[0])
-    if part is record and suited == noise:
-        return Solution(first, rough, rough, whole, smoothing)
-    better = first._replace(R_va=rough.R_va, speed_lag=lags[0], course_lag=lags[1])
-    return Solution(first, rough, refine(whole, better, suited, rough.p), whole, smoothing)
+    if smoothing == 0.0:
+        return solution
+    suited = adapted(seen, rough.R_va, (rough.speed_lag, rough.course_lag), noise, rough.p, HUBER)
+    first = start(seen, noise)
+    whole = as_received(record, smoothing, rough.R_va, rough.speed_lag)
+    return Solution(first, rough, refine(whole, _near(first, rough), suited, rough.p), whole, smoothing)
+
+
+def _near(first: Start, rough: Fit) -> Start:
+    """Where a finer fit begins."""
+    return first._replace(R_va=rough.R_va, speed_lag=rough.speed_lag, course_lag=rough.course_lag)
 
 
 def excerpt(record: Record, length: float) -> Record:

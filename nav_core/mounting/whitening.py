@@ -117,7 +117,25 @@ def matrices(count: int, size: int, entries: dict[tuple[int, int], Floats | floa
 def predict(  # noqa: C901, PLR0912  unrolled products that skip zeros
     Phi: Floats, Q: Floats, X: Floats, P: Floats, carried: Floats, half: Floats, x0: Sizes, weights: Sizes
 ) -> None:
-    """``X <- Phi X``, ``P <- Phi P Phi' + Q`` in place; most of Phi is zero.  The tuples tell the sizes."""
+    """``X <- Phi X``, ``P <- Phi P Phi' + Q`` in place; most of Phi is zero.
+
+    Parameters
+    ----------
+    Phi, Q : ndarray, shape (n, n)
+        Transition of a step and its noise.
+    X : ndarray, shape (n, c)
+        States, and what each column of the unknowns does to them.
+    P : ndarray, shape (n, n)
+        Covariance.
+    carried : ndarray, shape (n, c)
+        Room for the product with X.
+    half : ndarray, shape (n, n)
+        Room for that with P.
+    x0 : tuple
+        n of anything: its length is known when the kernel is compiled.
+    weights : tuple
+        c of anything.
+    """
     n, c = len(x0), len(weights)
     for a in range(n):
         for j in range(c):

@@ -181,7 +181,7 @@ def _loose(pieces: list[Piece]) -> bool:
 
 
 def _sways(piece: Piece) -> bool:
-    return gravity_wander(piece.record) > WANDER or bool((sway(piece.solution.fit) > SWAY).any())
+    return gravity_wander(piece.logged) > WANDER or bool((sway(piece.solution.fit) > SWAY).any())
 
 
 def _changes(pieces: list[Piece], spoiled: tuple[Blow, ...]) -> tuple[MountingChange, ...]:

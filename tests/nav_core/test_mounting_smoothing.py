@@ -9,7 +9,7 @@ import pytest
 
 from nav_core.mounting.model import UNLIKE_GAIN, Noise
 from nav_core.mounting.smoothing import as_received, low_passed
-from nav_core.mounting.solution import Solution, solve
+from nav_core.mounting.solution import Solution, matched, solve
 from nav_core.mounting.stretch import Record, prepare, usable_fixes
 from nav_core.mounting.whole_drive import estimate
 from nav_core.rotation import error_between
@@ -24,7 +24,8 @@ def _record(scenario: Scenario, seed: int) -> tuple[Record, np.ndarray]:
 
 def _solved(scenario: Scenario, seed: int, noise: Noise | None = None) -> tuple[Solution, np.ndarray]:
     record, R_va = _record(scenario, seed)
-    found = solve(record, noise or Noise())
+    noise = noise or Noise()
+    found = matched(solve(record, noise), noise)
     return found, np.degrees(error_between(found.fit.R_va, R_va))
 
 

@@ -9,7 +9,7 @@ import pytest
 from fleet_world import World, cut
 
 from nav_core.mounting.fusion import TripEvidence, solved
-from nav_core.mounting.model import Noise
+from nav_core.mounting.model import UNKNOWNS, Noise
 from nav_core.mounting.trips import told_of
 from nav_core.rotation import angle_between
 from nav_core.simulate import Scenario, random_rotation, simulate
@@ -30,7 +30,7 @@ def world(database, settings, clock, organisation) -> World:
 
 def _evidence(number: int) -> TripEvidence:
     rng = np.random.default_rng(number)
-    root = rng.normal(size=(40, 14))
+    root = rng.normal(size=(40, 1 + UNKNOWNS))
     return TripEvidence(np.eye(3), 0.2, 0.3, root.T @ root, 1800.0)
 
 

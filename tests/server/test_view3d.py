@@ -470,7 +470,7 @@ def test_a_view_of_ones_own_walks_through_the_history_and_nobody_else_sees_it(
     with serving(create_viewer(settings, clock=clock), port):
         picture = client.get(own)
         assert picture.status_code == 200
-        assert b"<style>.mantine-Paper-root" in picture.content
+        assert b".mantine-Notifications-root,.mantine-Paper-root{display:none" in picture.content
         assert client.get(f"{own}state").json()["onlookers"] == 0
         assert client.put(f"{own}state", json={"step": first}).status_code == 404, "nobody has opened it yet"
         with open_socket(address, own) as mine, open_socket(address, other) as theirs:
