@@ -27,6 +27,10 @@ CALM = 0.4
 EARLY = 0.3
 """By how much the lag that smoothing looks like may fall short of its time constant, s."""
 
+QUIET = 1.0
+"""Over so many seconds the force's noise must add less to a speed than the receiver's own: any low-pass takes a louder
+one away, and a few samples a second are loud, because vibration folds down into them."""
+
 SPEED, COURSE = 0, 3
 """Kinds of measurement in what `weigh` gives."""
 
@@ -119,6 +123,8 @@ def smoothing_time(record: Record, fit: Fit, noise: Noise, present: float = 0.0)
     float
         s.
     """
+    if QUIET * float(np.median(record.density)) > noise.speed_white**2:
+        return 0.0
     late = fit.speed_lag + present, fit.course_lag + present
 
     def cost(time: float, seen: Record | None = None) -> float:

@@ -126,3 +126,10 @@ def test_the_length_of_a_turning_velocity_is_given_back():
 def test_no_smoothing_leaves_the_record_alone():
     record, R_va = _record(Scenario(duration=20.0), 7673)
     assert as_received(record, 0.0, R_va, 0.3) is record
+
+
+@pytest.mark.parametrize("seed", [7701, 7702, 7703])
+def test_ten_samples_a_second_are_too_loud_to_tell(seed: int):
+    """Vibration that folds down is no receiver's smoothing, though a low-pass would take it away."""
+    record, _ = _record(Scenario(route="highway", duration=600.0, accel_rate=10.0, gnss_rate=4.0), seed)
+    assert matched(solve(record, Noise()), Noise()).smoothing == 0.0
