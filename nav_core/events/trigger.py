@@ -21,7 +21,7 @@ TRIGGER = 8.0 * KMH
 
 TRIGGER_WINDOW = 0.150
 
-FAINTEST = 0.15
+FAINTEST = 0.45
 """No change smaller than this within `TRIGGER_WINDOW` is looked at, m/s: a bump of a parked vehicle."""
 
 BLOCK = 64

@@ -220,6 +220,13 @@ def test_a_bump_while_parked(delta_v_kmh, with_gps):
     assert event.injuries == ()
 
 
+@pytest.mark.parametrize("delta_v_kmh", [0.8, 1.2, 1.4])
+def test_a_push_that_slammed_doors_come_near_to_is_no_bump(delta_v_kmh):
+    """Of less than 0.45 m/s, however hard for a moment (docs/crash.md)."""
+    drive, truth = struck(Impact(t=30.0, delta_v=delta_v_kmh / KMH, pdof=2.5, duration=0.06), route="static")
+    assert not reconstruct_drive(drive, mounted(truth))
+
+
 def test_a_side_swipe_below_the_trigger():
     drive, truth = struck(Impact(t=30.0, delta_v=6.0 / KMH, pdof=1.57, duration=0.15, speed=20.0))
     (event,) = reconstruct_drive(drive, mounted(truth))
