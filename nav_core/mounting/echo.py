@@ -36,7 +36,7 @@ def _echo(  # noqa: C901, PLR0912  unrolled products that skip zeros
                 for a in range(n):
                     gain[a] /= s
                 variances[i, m] = s
-    M, Mk = np.zeros((n, n)), np.zeros(n)
+    M, Mk, nothing = np.zeros((n, n)), np.zeros(n), np.zeros((n, n))
     for i in range(steps - 1, -1, -1):
         for m in range(k - 1, -1, -1):
             if np.isfinite(r[i, m]):
@@ -56,24 +56,7 @@ def _echo(  # noqa: C901, PLR0912  unrolled products that skip zeros
                             M[a, b] += told * h[a] * h[b]
         for a in range(n):
             seen[i, a] = M[a, a]
-        for a in range(n):
-            for b in range(n):
-                half[a, b] = 0.0
-        for m in range(n):
-            for b in range(n):
-                g = Phi[i, m, b]
-                if g != 0.0:
-                    for a in range(n):
-                        half[b, a] += g * M[m, a]
-        for a in range(n):
-            for b in range(n):
-                M[a, b] = 0.0
-        for m in range(n):
-            for a in range(n):
-                g = Phi[i, m, a]
-                if g != 0.0:
-                    for b in range(n):
-                        M[a, b] += g * half[b, m]
+        predict(Phi[i].T, nothing, X, M, X, half, x0, ())  # information goes back as covariance goes on
 
 
 def echo(channel: Channel) -> Floats:
