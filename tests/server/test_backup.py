@@ -19,6 +19,7 @@ from server.migrations import upgrade
 from server.models import Analysis, AuditEntry, Base, Batch, Change
 from server.settings import Settings
 from server.store import open_store
+from tests.e2e.service import eventually
 
 NOW = dt.datetime(2026, 3, 1, tzinfo=dt.UTC)
 
@@ -78,9 +79,10 @@ def loaded(address, admin, make_device):
 @pytest.mark.both_databases
 @pytest.mark.parametrize("into", ["sqlite", "postgresql"])
 def test_a_backup_taken_under_load_comes_back_equal(settings, loaded, fresh, tmp_path, into):
+    eventually(lambda: loaded[0] > 5, within_s=30, what="uploads before the backup")
     before = loaded[0]
     taken = backup(settings, tmp_path / "out", now=NOW)
-    assert loaded[0] > before  # it went on meanwhile
+    eventually(lambda: loaded[0] > before, within_s=30, what="uploads go on after the backup")
     assert taken.lost_blobs == []
     other = fresh(into)
     restored = restore(other, tmp_path / "out")
