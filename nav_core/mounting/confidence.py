@@ -13,6 +13,7 @@ import numpy as np
 
 from nav_core.mounting.model import TURN
 from nav_core.mounting.refine import BLOCK, Fit
+from nav_core.mounting.slip import by_stretch, steady_slip
 from nav_core.typing import Floats
 
 FLOOR = np.radians(0.04)
@@ -23,13 +24,6 @@ CONVERGED = np.radians(2.0)
 
 STRETCHES = 8
 """Parts of equal length whose estimates are compared."""
-
-SLOPE_STRETCHES = 16
-CLEAR_SLIP = 20.0
-LEAST_SLIP = np.radians(1.0)
-"""A mounting that turns steadily from the first to the last of so many stretches, by this squared in units of its own
-variance and by this angle, rad: a box that slips in its holder, or a bias that runs away.  The estimate is that of the
-middle; half of the way may be missing at the end."""
 
 _TRUST = 6.0
 """Degrees of freedom with which the model's own scatter is believed before the drive's."""
@@ -113,49 +107,13 @@ def stretch_scatter(fit: Fit) -> tuple[Floats, int, Floats]:
     spread : ndarray, shape (3,)
         Of the deviations beyond their own noise, rad.
     """
-    information, deviation = _by_stretch(fit, STRETCHES)
+    information, deviation = by_stretch(fit, STRETCHES)
     used = information > 0.0
     mean = (information * deviation).sum(0) / np.maximum(information.sum(0), 1e-12)
     degrees = np.maximum(used.sum(0) - 1, 1)
     scatter = (information * (deviation - mean) ** 2).sum(0) / degrees
     usual = information.sum(0) / np.maximum(used.sum(0), 1)
     return scatter, int(degrees.min()), np.sqrt(np.maximum(scatter - 1.0, 0.0) / np.maximum(usual, 1e-12))
-
-
-def _by_stretch(fit: Fit, count: int) -> tuple[Floats, Floats]:
-    """Information and deviation of each stretch about each axis, all else held; 0 where it says little."""
-    grams = np.array([part.sum(0) for part in np.array_split(fit.gram, count) if part.size])
-    pull = -(grams @ np.concatenate([[1.0], fit.p]))[:, 1:4]
-    information = np.einsum("kii->ki", grams[:, 1:4, 1:4])
-    used = information > 1e-2 * information.sum(0)
-    information = np.where(used, information, 0.0)
-    return information, np.where(used, pull / np.maximum(information, 1e-12), 0.0)
-
-
-def steady_slip(fit: Fit) -> Floats:
-    """How far the mounting turns steadily from the begin of a drive to its end.
-
-    Parameters
-    ----------
-    fit : Fit
-        Of one record.
-
-    Returns
-    -------
-    ndarray, shape (3,)
-        About the V axes, rad; 0 where none is clear.
-    """
-    information, deviation = _by_stretch(fit, SLOPE_STRETCHES)
-    total = np.maximum(information.sum(0), 1e-12)
-    when = np.linspace(-0.5, 0.5, information.shape[0])[:, None]
-    when = when - (information * when).sum(0) / total
-    spread = np.maximum((information * when**2).sum(0), 1e-12)
-    turn = (information * when * deviation).sum(0) / spread
-    left = deviation - (information * deviation).sum(0) / total - turn * when
-    degrees = np.maximum((information > 0.0).sum(0) - 2, 1)
-    scatter = np.maximum((information * left**2).sum(0) / degrees, 1.0)
-    clear = (turn**2 * spread > CLEAR_SLIP * scatter) & (np.abs(turn) > LEAST_SLIP)
-    return np.where(clear, turn, 0.0)
 
 
 def _innovation_ratio(fit: Fit) -> float:

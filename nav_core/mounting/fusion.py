@@ -15,20 +15,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from nav_core.errors import ShapeError
+from nav_core.mounting.again import without_own
 from nav_core.mounting.confidence import FLOOR, assess
-from nav_core.mounting.model import BIAS, COURSE_LAG, MILLI_G, SPEED_LAG, TURN, UNKNOWNS, Noise, prior
+from nav_core.mounting.model import COURSE_LAG, SPEED_LAG, TURN, UNKNOWNS, Noise, prior
 from nav_core.mounting.refine import BLOCK, Fit, likely_bias
 from nav_core.rotation import error_between
 from nav_core.typing import Floats
-
-BIAS_AGAIN = 2.0 * MILLI_G
-"""How much of the bias is new in every trip (temperature, switching on), 1 sigma, m/s²."""
-
-TURN_AGAIN = np.radians([0.25, 0.3, 0.1])
-"""The same of the mounting about V x (the roads' mean bank), y (the load tilts the car) and z, rad."""
-
-LAG_AGAIN = 0.2
-"""And of the receiver's lags, s."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,10 +74,8 @@ def trip_evidence(fit: Fit, handed: float = 0.0) -> TripEvidence:
     scale = np.ones(1 + UNKNOWNS)
     scale[1:4] = 1.0 / found.widening
     gram = fit.gram.sum(0) * np.outer(scale, scale)
-    again = np.zeros(UNKNOWNS)
-    again[TURN], again[BIAS], again[[SPEED_LAG, COURSE_LAG]] = TURN_AGAIN, BIAS_AGAIN, LAG_AGAIN
     duration = BLOCK * len(fit.gram)
-    return TripEvidence(fit.R_va, fit.speed_lag, fit.course_lag, _without_own(gram, again), duration, handed=handed)
+    return TripEvidence(fit.R_va, fit.speed_lag, fit.course_lag, without_own(gram), duration, handed=handed)
 
 
 def weakened(evidence: TripEvidence, share: float) -> TripEvidence:
@@ -179,14 +169,6 @@ def disagreement(one: TripEvidence, other: TripEvidence, noise: Noise) -> tuple[
     R_other, C_other = solved(other, noise)
     e = error_between(R_other, R_one)
     return float(e @ np.linalg.solve(C_one + C_other, e)), e
-
-
-def _without_own(gram: Floats, again: Floats) -> Floats:
-    """Evidence with a trip's own deviations of the unknowns, of standard deviation `again`, summed out."""
-    own = np.flatnonzero(again) + 1
-    inner = gram[np.ix_(own, own)] + np.diag(again[own - 1] ** -2.0)
-    cross = gram[:, own]
-    return gram - cross @ np.linalg.solve(inner, cross.T)
 
 
 def _seen_from(trip: TripEvidence, last: TripEvidence) -> Floats:

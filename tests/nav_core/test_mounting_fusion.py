@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from nav_core.errors import ShapeError
-from nav_core.mounting.fusion import BIAS_AGAIN, TURN_AGAIN, TripEvidence, disagreement, joined, solved, trip_evidence
+from nav_core.mounting.again import BIAS_AGAIN, TURN_AGAIN
+from nav_core.mounting.fusion import TripEvidence, disagreement, joined, solved, trip_evidence
 from nav_core.mounting.model import MILLI_G, Noise
 from nav_core.mounting.refine import Fit
 from nav_core.mounting.solution import solve
