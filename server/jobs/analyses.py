@@ -203,7 +203,7 @@ class Runner:
     ) -> None:
         self._database, self._clock, self._command = database, clock, command
         self._limit_s, self._renew_s = limit_s, renew_s
-        self._environment = {**os.environ, **_environment(settings), SUPERVISED: "1"}
+        self._environment = {**os.environ, **_environment(settings), SUPERVISED: str(os.getpid())}
 
     def once(self, stop: threading.Event) -> bool:
         """Work off the analysis that has waited longest; whether there was one."""

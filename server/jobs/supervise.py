@@ -19,6 +19,7 @@ import structlog
 from server.tracing import carried
 
 SUPERVISED = "SCATOLA_SUPERVISED"
+"""Tells a child that it is one, and whose: the process id of its supervisor."""
 RESTART_S = (0.5, 30.0)
 """Pause before a dead child is started again: first, and at most; it doubles from death to death."""
 HEALTHY_S = 60.0
@@ -43,7 +44,7 @@ class Child:
     def __init__(self, name: str, command: Sequence[str], *, environment: Mapping[str, str] | None = None) -> None:
         self.name = name
         self._command = list(command)
-        self._environment = {**os.environ, **(environment or {}), SUPERVISED: "1"}
+        self._environment = {**os.environ, **(environment or {}), SUPERVISED: str(os.getpid())}
         self._process: subprocess.Popen[bytes] | None = None
         self._started = 0.0
         self._deaths = 0
@@ -152,7 +153,7 @@ class Supervisor:
 
 def parent_fd() -> int | None:
     """Descriptor of the supervisor's pipe in a supervised child, else None."""
-    return sys.stdin.fileno() if os.environ.get(SUPERVISED) == "1" else None
+    return sys.stdin.fileno() if os.environ.get(SUPERVISED) else None
 
 
 def follow_parent(gone: Callable[[], None]) -> None:
@@ -176,7 +177,8 @@ def end_with_parent() -> None:
     """
     if parent_fd() is None:
         return
-    parent, pause = os.getppid(), threading.Event()
+    # Not `getppid` for this too: a supervisor that is gone before its child gets here has left it to another parent.
+    parent, pause = int(os.environ[SUPERVISED]), threading.Event()
 
     def watch() -> None:
         while os.getppid() == parent:

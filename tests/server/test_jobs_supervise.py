@@ -192,3 +192,13 @@ while True: sum(range(10**6))
     supervisor.kill()
     supervisor.wait()
     until(lambda: not is_alive(pid))
+
+
+def test_a_busy_child_whose_supervisor_was_gone_before_it_looked_ends_too():
+    """A new worker takes seconds to begin; its supervisor may be killed meanwhile."""
+    code = "from server.jobs.supervise import end_with_parent; end_with_parent()\nwhile True: sum(range(10**6))"
+    gone = subprocess.Popen([sys.executable, "-c", ""])
+    gone.wait()
+    environment = {**os.environ, supervise.SUPERVISED: str(gone.pid)}
+    orphan = subprocess.Popen([sys.executable, "-c", code], env=environment)
+    assert orphan.wait(20.0) == 1

@@ -142,7 +142,7 @@ def process(settings):
     environment = {
         **{name: value for name, value in os.environ.items() if not name.startswith("SCATOLA_")},
         "SCATOLA_DATA_DIR": str(settings.data_dir),
-        SUPERVISED: "1",
+        SUPERVISED: str(os.getpid()),
     }
     process = subprocess.Popen(scatola("worker"), stdin=subprocess.PIPE, stderr=subprocess.PIPE, env=environment)
     yield process
