@@ -272,11 +272,15 @@ class Round:
     def _events(self, known: dict[str, Read], mountings: Mountings) -> None:
         """Find and revise events with the mountings as they stand now."""
         batches = [batch for batch in self._situation.batches if known[batch.id].columns is not None]
+        # Not into `known`: what lies around an event may be due itself by the next attempt, and then wants its digest.
+        around: dict[str, Read] = {}
 
         def load(batch: Batch) -> Columns | None:
-            if batch.id not in known:
-                known[batch.id] = read_columns(self._store_of_blobs, batch)
-            return known[batch.id].columns
+            if batch.id in known:
+                return known[batch.id].columns
+            if batch.id not in around:
+                around[batch.id] = read_columns(self._store_of_blobs, batch)
+            return around[batch.id].columns
 
         events = Events(
             self._database,

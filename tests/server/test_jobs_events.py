@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 from crash_world import Reconstructor, braking, crash
 from fleet_world import Leg, World, cut, drive_of
-from sqlalchemy import delete
+from sqlalchemy import delete, select
 from sqlalchemy.exc import IntegrityError
 
 from nav_core.records import Drive, Inertial
+from server import migrations
 from server.events import queries
 from server.events.canonical import canonical
 from server.events.window import Part, merged
@@ -20,7 +21,7 @@ from server.formats.columns import Columns
 from server.formats.drive import from_drive
 from server.jobs.due import burst_devices
 from server.jobs.events import event_document, run_inputs
-from server.models import Batch, Event, EventInput, EventRevision, Installation
+from server.models import Batch, BatchDigest, DeviceState, Event, EventInput, EventRevision, Installation
 
 both = pytest.mark.both_databases
 DRIVE = (Leg(100, 12.0), Leg(60, 0.0))
@@ -266,3 +267,46 @@ def test_a_severe_event_of_another_kind_is_a_revision(world):
     world.bring_up()
     event = world.one(Event)
     assert (event.kind, event.revision) == ("parked_impact", 2)
+
+
+@both
+def test_what_an_event_search_read_before_it_was_due_is_worked_off_all_the_same(world):
+    """A batch comes while a round computes, is read as an event's surroundings, and the round has to start over."""
+    batches = cut(drive_of(*DRIVE), seconds=20.0)
+    for k, batch in enumerate(batches[:5]):
+        world.put(batch, k)
+    world.bring_up()
+    world.put(batches[5], 5)
+    find, meanwhile = world.reconstructor, []
+
+    def found_while_others_write(*arguments: object, **options: object) -> object:
+        if not meanwhile:
+            meanwhile.append(world.put(batches[6], 6))
+            with world.database.transaction() as session:
+                state = session.scalars(select(DeviceState).where(DeviceState.device_id == world.device_id)).one()
+                state.version += 1
+        return find(*arguments, **options)
+
+    world.reconstructor = found_while_others_write
+    assert world.bring_up().batches == 2
+    assert meanwhile
+    assert world.unprocessed() == 0
+    assert {row.batch_id for row in world.rows(BatchDigest)} == {row.id for row in world.rows(Batch)}
+
+
+@both
+def test_what_was_passed_over_before_is_due_after_the_migration(world, settings):
+    batches = cut(drive_of(*DRIVE), seconds=20.0)
+    for k, batch in enumerate(batches[:3]):
+        world.put(batch, k)
+    world.bring_up()
+    passed_over = world.rows(Batch, Batch.sequence)[1].id
+    with world.database.transaction() as session:
+        session.execute(delete(BatchDigest).where(BatchDigest.batch_id == passed_over))
+    migrations.downgrade(settings, "0011")
+    migrations.upgrade(settings)
+    assert world.unprocessed() == 1
+    world.bring_up()
+    assert {row.batch_id for row in world.rows(BatchDigest)} == {row.id for row in world.rows(Batch)}
+    (remark,) = next(row.remarks for row in world.rows(Batch) if row.id == passed_over)
+    assert remark["code"] == "passed_over"
