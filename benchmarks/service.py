@@ -71,7 +71,7 @@ def _keep(page: Path, title: str, section: str) -> None:
 
 
 def ingest(args: argparse.Namespace) -> tuple[str, list[Row]]:
-    """Readings a second, and latency at 70 % of that, by database and format."""
+    """Readings a second, and latency at 70 % of that, by database and format; boxes are registered before."""
     seconds = 8.0 if args.short else 30.0
     rows: list[Row] = []
     for database in ("SQLite", "PostgreSQL"):

@@ -18,9 +18,11 @@ from fastapi import FastAPI
 from server.accounts.service import first_sign_in
 from server.app import create_app
 from server.database import Database
+from server.formats import decode
 from server.jobs.supervise import Child, Supervisor, scatola
 from server.live.hub import LiveHub
 from server.logs import configure_logging
+from server.memory import set_aside
 from server.migrations import serves, upgrade
 from server.patience import PatientProtocol
 from server.settings import Settings
@@ -51,6 +53,7 @@ def serve(
     app = create_app(settings)
     if not serves(app.state.database.engine):
         raise ValueError("the database is not at this version's schema: run `scatola migrate` first")
+    settle()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, _leave)
     with contextlib.ExitStack() as stack:
@@ -86,6 +89,12 @@ def serve(
             ),
         )
         _Server(config, greet, app).run(sockets=[sock])
+
+
+def settle() -> None:
+    """Once an application is made: have what uploads need, and keep the garbage collector from all that lasts."""
+    decode.load()
+    set_aside()
 
 
 class _Server(uvicorn.Server):

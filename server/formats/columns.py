@@ -88,16 +88,26 @@ class Columns:
 
     @cached_property
     def sampled(self) -> dict[str, NDArray[np.bool_]]:
-        """Which rows of each column have a value."""
-        return {name: ~np.isnan(column) for name, column in self.values.items()}
+        """Which rows of each column have a value; what was sampled together has one mask, the same object."""
+        masks: dict[bytes, NDArray[np.bool_]] = {}
+        found: dict[str, NDArray[np.bool_]] = {}
+        for name, column in self.values.items():
+            mask = ~np.isnan(column)
+            found[name] = masks.setdefault(np.packbits(mask).tobytes(), mask)
+        return found
 
     @cached_property
     def samples(self) -> dict[str, Floats]:
         """The values of each column without the rows that have none."""
-        return {
-            name: column if (sampled := self.sampled[name]).all() else column[sampled]
-            for name, column in self.values.items()
-        }
+        places: dict[int, NDArray[np.intp] | None] = {}
+        found: dict[str, Floats] = {}
+        for name, column in self.values.items():
+            mask = self.sampled[name]
+            if id(mask) not in places:
+                places[id(mask)] = None if mask.all() else np.flatnonzero(mask)
+            place = places[id(mask)]
+            found[name] = column if place is None else column[place]
+        return found
 
     def column_sha256(self) -> str:
         """Canonical hash of names, types and values, whatever file they came in (docs/device-protocol.md)."""
@@ -176,7 +186,7 @@ def check_values(columns: Columns) -> None:
         if first not in columns.values:
             continue
         sampled = columns.sampled
-        if any(not np.array_equal(sampled[first], sampled[other]) for other in others):
+        if any(sampled[first] is not sampled[other] for other in others):
             together = np.array([sampled[name] for name in (first, *others)])
             row = int(np.argmax(together.any(axis=0) & ~together.all(axis=0)))
             raise InvalidError(

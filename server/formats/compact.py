@@ -52,7 +52,7 @@ def read(body: bytes, *, max_decoded_bytes: int | None) -> Columns:
     rows = sum(layout.rows for layout in layouts)
     names = {column.name for layout in layouts for column in layout.columns}
     check_size(rows, len(names) + 1, max_decoded_bytes)
-    values = {name: np.full(rows, np.nan) for name in names}
+    values = dict(zip(names, np.full((len(names), rows), np.nan), strict=True))
     ticks, places = _merged([layout.ticks(body) for layout in layouts])
     for layout, place in zip(layouts, places, strict=True):
         for column in layout.columns:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Callable
 from typing import Protocol
 
@@ -79,6 +80,13 @@ _READERS: dict[str, Callable[[], _Reader]] = {
     "application/mcap": _mcap,
 }
 MEDIA_TYPES = tuple(_READERS)
+
+
+def load() -> None:
+    """Import what reads and writes batches, or the first of each kind waits for it."""
+    importlib.import_module("server.formats.parquet_write")
+    for reader in _READERS.values():
+        reader()
 
 
 def media_type_of(content_type: str) -> str:

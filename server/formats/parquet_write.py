@@ -10,10 +10,11 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 import zstandard
 from numpy.typing import NDArray
 
@@ -39,12 +40,17 @@ def write(columns: Columns) -> bytes:
     out = bytearray(_MAGIC)
     compressor = zstandard.ZstdCompressor(level=_LEVEL)
     groups: list[Writable] = []
+    written = dict.fromkeys(columns.values, 0)
     for begin in range(0, columns.rows, _GROUP_ROWS):
-        rows = slice(begin, begin + _GROUP_ROWS)
-        chunks = [
-            _chunk(out, compressor, name, values[rows], columns.sampled[name][rows])
-            for name, values in columns.values.items()
-        ]
+        levels: dict[int, _Levels] = {}
+        chunks: list[_Chunk] = []
+        for name, samples in columns.samples.items():
+            mask = columns.sampled[name]
+            if id(mask) not in levels:
+                levels[id(mask)] = _levels(mask[begin : begin + _GROUP_ROWS])
+            level, done = levels[id(mask)], written[name]
+            chunks.append(_chunk(out, compressor, name, samples[done : done + level.sampled], level))
+            written[name] += level.sampled
         described: list[Writable] = [{2: Long(chunk.begin), 3: chunk.described()} for chunk in chunks]
         groups.append({1: described, 2: Long(sum(chunk.unpacked for chunk in chunks)), 3: Long(chunks[0].rows)})
     leaves: list[Writable] = [{1: _DOUBLE, 3: _OPTIONAL, 4: name.encode()} for name in columns.values]
@@ -80,14 +86,18 @@ class _Chunk:
         }
 
 
-def _chunk(
-    out: bytearray, compressor: zstandard.ZstdCompressor, name: str, values: Floats, sampled: NDArray[np.bool_]
-) -> _Chunk:
+class _Levels(NamedTuple):
+    """Which rows of a group have a value, as the file tells it; columns that were sampled together share it."""
+
+    rows: int
+    sampled: int
+    content: bytes
+
+
+def _chunk(out: bytearray, compressor: zstandard.ZstdCompressor, name: str, present: Floats, levels: _Levels) -> _Chunk:
     """Append a column's pages."""
-    dense = bool(sampled.all())
-    present = values if dense else values[sampled]
     numbered = None if name in _CLOCKS else _numbered(present)
-    made = _Chunk(name, sampled.size, _BYTE_STREAM_SPLIT if numbered is None else _RLE_DICTIONARY, len(out))
+    made = _Chunk(name, levels.rows, _BYTE_STREAM_SPLIT if numbered is None else _RLE_DICTIONARY, len(out))
 
     def page(content: bytes, kind: int, header: Fields) -> None:
         pressed = compressor.compress(content)
@@ -103,15 +113,16 @@ def _chunk(
         dictionary, content = numbered
         page(dictionary.tobytes(), _DICTIONARY_PAGE, {7: {1: dictionary.size, 2: _PLAIN}})
     made.data_begin = len(out)
-    levels = _levels(sampled, dense=dense)
-    page(levels + content, _DATA_PAGE, {5: {1: sampled.size, 2: made.encoding, 3: _RLE, 4: _RLE}})
+    page(levels.content + content, _DATA_PAGE, {5: {1: levels.rows, 2: made.encoding, 3: _RLE, 4: _RLE}})
     return made
 
 
-def _levels(sampled: NDArray[np.bool_], *, dense: bool) -> bytes:
-    """Which rows have a value: one run where all have, else a bit a row."""
+def _levels(sampled: NDArray[np.bool_]) -> _Levels:
+    """One run where all rows have a value, else a bit a row."""
+    count = int(np.count_nonzero(sampled))
+    dense = count == sampled.size
     runs = varint(sampled.size << 1) + b"\x01" if dense else _unpacked_run(np.packbits(sampled, bitorder="little"), 1)
-    return struct.pack("<I", len(runs)) + runs
+    return _Levels(sampled.size, count, struct.pack("<I", len(runs)) + runs)
 
 
 def _unpacked_run(content: NDArray[Any], bits: int) -> bytes:
@@ -123,10 +134,12 @@ def _unpacked_run(content: NDArray[Any], bits: int) -> bytes:
 
 def _numbered(values: Floats) -> tuple[NDArray[np.int64], bytes] | None:
     """Different values and each one's number, where that is shorter; equal is what has equal bits."""
-    encoded: Any = pa.array(values.view(np.int64)).dictionary_encode()
-    dictionary = cast("NDArray[np.int64]", encoded.dictionary.to_numpy())
+    # From buffers and to them: Arrow's own ways from and to numpy load pandas where it is installed.
+    array: Any = pa.Array.from_buffers(pa.int64(), values.size, [None, pa.py_buffer(values)])
+    encoded: Any = pc.dictionary_encode(array)  # pyright: ignore[reportAttributeAccessIssue]  made at import
+    dictionary = np.frombuffer(encoded.dictionary.buffers()[1], np.int64, len(encoded.dictionary))
     bits = 8 if dictionary.size <= 2**8 else 16
     if dictionary.size > 2**16 or 8 * dictionary.size + bits // 8 * values.size > 6 * values.size:
         return None
-    numbers = encoded.indices.to_numpy().astype(np.uint8 if bits == 8 else "<u2")
-    return dictionary, bytes([bits]) + _unpacked_run(numbers, bits)
+    numbers = np.frombuffer(encoded.indices.buffers()[1], np.int32, values.size)
+    return dictionary, bytes([bits]) + _unpacked_run(numbers.astype(np.uint8 if bits == 8 else "<u2"), bits)

@@ -12,7 +12,7 @@ from fastapi import APIRouter, Header, Request
 from server.accounts.access import Caller, DeviceCaller
 from server.database import Database
 from server.devices.provisioning import check_quota
-from server.edge import DatabaseOf, Now, SettingsOf, StoreOf, Wake
+from server.edge import Wake, parts_for_box
 from server.errors import TooManyRequestsError, UnauthenticatedError
 from server.formats.decode import MEDIA_TYPES, decode, media_type_of
 from server.formats.encoding import encoding_of, unpack
@@ -60,10 +60,6 @@ _BODY = {
 async def upload(
     request: Request,
     caller: DeviceCaller,
-    settings: SettingsOf,
-    database: DatabaseOf,
-    store: StoreOf,
-    now: Now,
     idempotency_key: Annotated[str | None, Header(description="<boot>/<sequence>")] = None,
     scatola_stream: Annotated[str | None, Header(description="continuous or burst")] = None,
     scatola_sent_at: Annotated[str | None, Header(description="the box's clock now, s since boot")] = None,
@@ -74,6 +70,7 @@ async def upload(
 ) -> Acknowledgement:
     """Store a batch of columns; once this answers 202 it is durable and will be worked off."""
     state = request.app.state
+    settings, database, store, now = parts_for_box(request)
     wait_s = cast("TokenBuckets", state.uploads).take(cast("str", caller.device_id), now.timestamp())
     if wait_s > 0.0:
         seconds = int(wait_s) + 1

@@ -77,12 +77,14 @@ class FolderStore:
 
     def _write(self, path: Path, data: bytes) -> None:
         _make_folder(path.parent)
-        self._partial.mkdir(parents=True, exist_ok=True)
+        if not self._partial.is_dir():
+            self._partial.mkdir(parents=True, exist_ok=True)
         partial = self._partial / uuid.uuid4().hex
         try:
-            with partial.open("xb") as file:
-                file.write(data)
-                file.flush()
+            with partial.open("xb", buffering=0) as file:
+                rest = memoryview(data)
+                while rest:
+                    rest = rest[file.write(rest) :]
                 os.fsync(file.fileno())
             partial.rename(path)
         except OSError:

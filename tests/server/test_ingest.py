@@ -20,6 +20,8 @@ import sqlalchemy as sa
 import zstandard
 
 from server.app import create_app
+from server.devices.provisioning import ask_for_window
+from server.devices.schemas import WindowIn
 from server.errors import UnauthenticatedError
 from server.formats.columns import Columns
 from server.formats.tables import table_of
@@ -520,3 +522,15 @@ def test_a_standing_that_is_no_longer_true_is_read_again(box, database):
         session.get_one(Device, box.device_id).revoked_at = dt.datetime.now(dt.UTC)
     with database.transaction() as session, pytest.raises(UnauthenticatedError):
         service.accept(session, box.device_id, upload, now=dt.datetime.now(dt.UTC), before=again.standing)
+
+
+def test_what_a_box_is_asked_for_is_told_once_however_many_runs_its_boot_has(box, database):
+    assert [box.send(sequence).status_code for sequence in (0, 2, 4)] == [202] * 3
+    wanted = [WindowIn(boot="boot1", t_first_s=float(k), t_last_s=k + 1.0, reason="look") for k in range(2)]
+    with database.transaction() as session:
+        organisation_id = session.get_one(Device, box.device_id).organisation_id
+        now = dt.datetime.now(dt.UTC)
+        asked = [ask_for_window(session, organisation_id, box.device_id, each, now=now) for each in wanted]
+    answer = box.send(6).json()
+    assert sorted(item["id"] for item in answer["requests"]) == sorted(asked)
+    assert answer["missing"] == [[1, 1], [3, 3], [5, 5]]

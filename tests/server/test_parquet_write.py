@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import io
+import subprocess
+import sys
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -61,3 +63,24 @@ def test_any_rows_in_any_groups(values, group):
 def test_the_same_columns_give_the_same_bytes():
     columns = {"t": np.arange(900) / 200.0, "temp": drawn(300, 900)}
     assert Columns(columns).to_parquet() == Columns(dict(columns)).to_parquet()
+
+
+def test_pandas_is_not_loaded_for_it():
+    """It takes half a second, and every full garbage collection longer from then on."""
+    script = (
+        "import sys, numpy as np\n"
+        "from server.formats.columns import Columns\n"
+        "Columns({'t': np.arange(9.0), 'temp': np.zeros(9)}).to_parquet()\n"
+        "assert 'pandas' not in sys.modules\n"
+    )
+    subprocess.run([sys.executable, "-c", script], check=True)
+
+
+def test_columns_sampled_together_share_a_mask():
+    some = np.where(np.arange(30) % 3 == 0, 1.0, np.nan)
+    columns = Columns({"t": np.arange(30.0), "lat": some, "lon": 2.0 * some, "temp": np.roll(some, 1)})
+    assert columns.sampled["lat"] is columns.sampled["lon"]
+    assert columns.sampled["lat"] is not columns.sampled["temp"]
+    for name, values in columns.values.items():
+        np.testing.assert_array_equal(columns.samples[name], values[~np.isnan(values)])
+    stored(columns)
