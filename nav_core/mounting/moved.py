@@ -172,14 +172,12 @@ def _still(record: Record, noise: Noise, depth: int) -> list[Solution]:
         return [solution]
     # The rough fit holds the noise of an ordinary drive, but of a long one it knows an excerpt only.
     evidence = solution.fit if solution.fit.gram.shape[0] > solution.rough.gram.shape[0] else solution.rough
-    for when in (tilt_suspicion(record), evidence_suspicion(evidence)):
-        cut = None if when is None else _confirmed(record, when, noise)
+    suspicions = [when for when in (tilt_suspicion(record), evidence_suspicion(evidence)) if when is not None]
+    for number, when in enumerate(suspicions):
+        # Whether neighbouring trips differ does not depend on the suspicion: it is asked once.
+        cut = _confirmed(record, when, noise) or (None if number else _between_trips(record, noise))
         if cut is not None:
             first, second = cut
-            return _still(first, noise, depth - 1) + _still(second, noise, depth - 1)
-        apart = None if when is None else _between_trips(record, noise)
-        if apart is not None:
-            first, second = apart
             return _still(first, noise, depth - 1) + _still(second, noise, depth - 1)
     return [solution]
 

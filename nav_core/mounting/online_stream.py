@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from nav_core.mounting.trouble import JUMP
+from nav_core.mounting.clocks import JUMP
 from nav_core.records import Drive, Gnss, Inertial
 from nav_core.signal import Ticks, decimate
 from nav_core.typing import Flags, Floats

@@ -10,6 +10,7 @@ from nav_core.mounting.closed_form import Start
 from nav_core.mounting.confidence import CONVERGED, Confidence
 from nav_core.mounting.reasons import reason
 from nav_core.mounting.refine import BLOCK, Fit
+from nav_core.mounting.slip import by_stretch
 from nav_core.mounting.stretch import FOLLOW_SPEED, Record, gps_rate, unrolled
 from nav_core.records import MountingStatus, Reason
 from nav_core.typing import Floats
@@ -160,13 +161,8 @@ def sway(fit: Fit) -> Floats:
         not clear.
     """
     count = max(int(fit.gram.shape[0] * BLOCK / _SWAY_SPAN), 2)
-    grams = np.array([part.sum(0) for part in np.array_split(fit.gram, count) if part.size])
-    pull = -(grams @ np.concatenate([[1.0], fit.p]))[:, 1:4]
-    weight = np.einsum("kii->ki", grams[:, 1:4, 1:4])
-    total = weight.sum(0)
-    weight = np.where(weight > 1e-2 * total, weight, 0.0)
+    weight, deviation = by_stretch(fit, count)
     total = np.maximum(weight.sum(0), 1e-12)
-    deviation = np.where(weight > 0.0, pull / np.maximum(weight, 1e-12), 0.0)
     mean = (weight * deviation).sum(0) / total
     excess = (weight * (deviation - mean) ** 2).sum(0)
     degrees = np.maximum((weight > 0.0).sum(0) - 1, 1)

@@ -71,7 +71,7 @@ def by_stretch(fit: Fit, count: int) -> tuple[Floats, Floats]:
     Returns
     -------
     information, deviation : ndarray, shape (n, 3)
-        1/rad² and rad; 0 where a stretch says little.
+        1/rad² and rad, n at most `count`; 0 where a stretch holds under a hundredth of the whole.
     """
     grams = np.array([part.sum(0) for part in np.array_split(fit.gram, count) if part.size])
     pull = -(grams @ np.concatenate([[1.0], fit.p]))[:, 1:4]

@@ -32,6 +32,7 @@ class Solution(NamedTuple):
 
 _ROUNDS = 4
 _SETTLED = 0.05
+"""Mounting and time constant are found in turn, at most so often, until the latter changes by less than this, s."""
 
 
 def solve(record: Record, noise: Noise) -> Solution:

@@ -108,8 +108,8 @@ def test_after_a_gap_the_low_pass_begins_anew():
     np.testing.assert_allclose(low_passed(record._replace(step=step), values, 1.0), values)
 
 
-def test_the_length_of_a_turning_velocity_is_given_back():
-    """A steady circle without noise: smoothing shortens the velocity by sqrt(1 + (w T)²) and turns it by atan(w T)."""
+def test_length_and_direction_of_a_turning_velocity_are_given_back():
+    """In a steady circle smoothing shortens the velocity by sqrt(1 + (w T)²) and turns it by atan(w T), not w T."""
     scenario = replace(Scenario(route="roundabout", duration=120.0).faultless(), lever_arm=(0.0, 0.0, 0.0))
     drive, truth = simulate(replace(scenario, gnss_smoothing=1.0), seed=7672)
     record = prepare(decimate(drive.inertial), usable_fixes(drive.gnss))
@@ -118,9 +118,13 @@ def test_the_length_of_a_turning_velocity_is_given_back():
     weight = np.exp(-age) / np.exp(-age).sum()
     late = record.fixes.t > 15.0
     speed = np.interp(record.fixes.t[late, None] - age, truth.t, truth.v) @ weight
-    before = np.abs(record.fixes.speed[late] - speed)
-    after = np.abs(back.fixes.speed[late] - speed)
-    assert np.sqrt(np.mean(after**2)) < 0.35 * np.sqrt(np.mean(before**2))
+    course = np.interp(record.fixes.t[late, None] - age, truth.t, np.unwrap(truth.yaw)) @ weight
+    for before, after, smooth in (
+        (record.fixes.speed, back.fixes.speed, speed),
+        (record.fixes.course, back.fixes.course, course),
+    ):
+        was, left = ((np.remainder(each[late] - smooth + np.pi, 2.0 * np.pi) - np.pi) for each in (before, after))
+        assert np.sqrt(np.nanmean(left**2)) < 0.35 * np.sqrt(np.nanmean(was**2))
 
 
 def test_no_smoothing_leaves_the_record_alone():

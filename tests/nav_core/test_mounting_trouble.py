@@ -9,8 +9,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from nav_core.mounting import estimate_mounting
+from nav_core.mounting.clocks import clock_jumps
 from nav_core.mounting.reversing import reversals
-from nav_core.mounting.trouble import clock_jumps, frozen, sampling_rate
+from nav_core.mounting.trouble import frozen, sampling_rate
 from nav_core.records import Drive, Gnss, Inertial, MountingEstimate
 from nav_core.rotation import angle_between, error_between
 from nav_core.signal import decimate
