@@ -14,10 +14,10 @@ import numpy as np
 
 from nav_core.mounting.echo import echo
 from nav_core.mounting.model import LONGEST_STEP, Noise, turned
-from nav_core.mounting.pitch_plane import HEIGHT, V, pitch_system
+from nav_core.mounting.pitch_plane import HEIGHT, PITCH_OBSERVED, V, pitch_system
 from nav_core.mounting.stretch import Record, Steps, at, integrate, rough_share, steps_of
 from nav_core.mounting.whitening import Channel, whiten
-from nav_core.mounting.yaw_plane import yaw_system
+from nav_core.mounting.yaw_plane import YAW_OBSERVED, yaw_system
 from nav_core.typing import Floats
 
 LAG_GRID = np.arange(0.0, 2.01, 0.25)
@@ -78,13 +78,15 @@ def _along(record: Record, steps: Steps, total: Floats, noise: Noise) -> Channel
     U = np.zeros((count, 1, 5))
     U[:, 0, 1:3], U[:, 0, 3] = total[:, :2], steps.dt
     size = np.hypot(total[:, 0], total[:, 1])
-    P0, Phi, Q, H, r = pitch_system(record, steps, noise, size, np.zeros(count), total[:, 5])
+    P0, carry, Q, share, r = pitch_system(record, steps, noise, size, np.zeros(count), total[:, 5])
     r[:, 2] = np.nan  # the vertical force waits for the refinement
     Y = np.zeros((count, 3, 5))
     Y[:, 0, 0], Y[:, 1, 0] = fixes.speed, np.nan_to_num(fixes.alt)
     x0 = np.zeros(P0.shape[0])
     x0[V], x0[HEIGHT] = Y[0, 0, 0], Y[0, 1, 0]
-    return Channel(x0, P0, Phi, Q, np.array([V]), U, _rough(total[:, 5], steps), H, Y, r, np.zeros(3), np.arange(4))
+    grain = _rough(total[:, 5], steps)
+    driven, unknowns = np.array([V]), np.arange(4)
+    return Channel(x0, P0, carry, Q, driven, U, grain, PITCH_OBSERVED, share, Y, r, np.zeros(3), unknowns)
 
 
 def _across(record: Record, steps: Steps, total: Floats, noise: Noise) -> Channel:
@@ -94,13 +96,13 @@ def _across(record: Record, steps: Steps, total: Floats, noise: Noise) -> Channe
     elapsed = np.diff(steps.when, prepend=steps.when[:1])
     size = np.hypot(total[:, 2], total[:, 3])
     lost = steps.broken | (elapsed > LONGEST_STEP)
-    P0, Phi, Q, H, r = yaw_system(fixes, steps, noise, size, total[:, 4], total[:, 6], lost)
+    P0, carry, Q, share, r = yaw_system(fixes, steps, noise, size, total[:, 4], total[:, 6], lost)
     Y = np.zeros((count, 1, 5))
     Y[:, 0, 0] = np.nan_to_num(fixes.course)
     x0 = np.zeros(P0.shape[0])
-    return Channel(
-        x0, P0, Phi, Q, np.array([0]), U, _rough(total[:, 6], steps), H, Y, r, np.array([2.0 * np.pi]), np.arange(4)
-    )
+    grain = _rough(total[:, 6], steps)
+    driven, turn, unknowns = np.array([0]), np.array([2.0 * np.pi]), np.arange(4)
+    return Channel(x0, P0, carry, Q, driven, U, grain, YAW_OBSERVED, share, Y, r, turn, unknowns)
 
 
 def _rough(grain: Floats, steps: Steps) -> Floats:
