@@ -145,32 +145,31 @@ def start(record: Record, noise: Noise) -> Start:
             )
         )
     information = np.diag([1e-2, 1e-2, INTERCEPT**-2, INTERCEPT**-2])
-    trials: list[tuple[float, int, int, Floats, Floats]] = []
-    mirrored = np.inf
-    for i, (along, _) in enumerate(grams):
-        for j, (_, across) in enumerate(grams):
-            gram = along + across
-            p, cost = _best(gram, information)
-            # A shade in favour of short lags: on a straight road every lag of the course is as good.
-            cost += float(LAG_GRID[i] + LAG_GRID[j])
-            trials.append((cost, i, j, p, gram[1:, 1:] + information))
-            # Left-handed axes change the sign of what the force does across the travel, and of nothing else.
-            _, other = _best(along + np.outer(_ACROSS, _ACROSS) * across, information)
-            mirrored = min(mirrored, other + float(LAG_GRID[i] + LAG_GRID[j]))
-    cost, i, j, p, posterior = min(trials, key=lambda trial: trial[0])
+    along, across = (np.stack(each) for each in zip(*grams, strict=True))
+    along, across = along[:, None], across[None, :]
+    # A shade in favour of short lags: on a straight road every lag of the course is as good.
+    shade = LAG_GRID[:, None] + LAG_GRID[None, :]
+    trials, costs = _best(along + across, information)
+    costs += shade
+    i, j = (int(k) for k in np.unravel_index(np.argmin(costs), costs.shape))
+    # Left-handed axes change the sign of what the force does across the travel, and of nothing else.
+    _, mirrored = _best(along + np.outer(_ACROSS, _ACROSS) * across, information)
+    p, cost = trials[i, j], float(costs[i, j])
+    posterior = along[i, 0, 1:, 1:] + across[0, j, 1:, 1:] + information
     strength = float(np.hypot(p[0], p[1]))
     heading = np.arctan2(p[1], p[0])
     c, s = np.cos(heading), np.sin(heading)
-    across = np.array([-s, c, 0.0, 0.0])
-    sigma = float(np.sqrt(across @ np.linalg.solve(posterior, across)) / max(strength, 1e-9))
+    aside = np.array([-s, c, 0.0, 0.0])
+    sigma = float(np.sqrt(aside @ np.linalg.solve(posterior, aside)) / max(strength, 1e-9))
     R_va = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) @ level
-    return Start(R_va, float(LAG_GRID[i]), float(LAG_GRID[j]), strength, sigma, mirrored - cost)
+    return Start(R_va, float(LAG_GRID[i]), float(LAG_GRID[j]), strength, sigma, float((mirrored + shade).min()) - cost)
 
 
 _ACROSS = np.array([1.0, -1.0, -1.0, 1.0, 1.0])
 
 
-def _best(gram: Floats, information: Floats) -> tuple[Floats, float]:
-    """Unknowns that explain the products best, and what they leave."""
-    p = -np.asarray(np.linalg.solve(gram[1:, 1:] + information, gram[1:, 0]), dtype=np.float64)
-    return p, float(gram[0, 0] + gram[1:, 0] @ p)
+def _best(gram: Floats, information: Floats) -> tuple[Floats, Floats]:
+    """Unknowns that explain the products best, and what they leave: shapes (..., 4) and (...)."""
+    pull = gram[..., 1:, 0]
+    p = -np.asarray(np.linalg.solve(gram[..., 1:, 1:] + information, pull[..., None]), dtype=np.float64)[..., 0]
+    return p, gram[..., 0, 0] + (pull * p).sum(-1)

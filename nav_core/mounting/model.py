@@ -23,7 +23,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from nav_core.mounting.stretch import Record, followed, gps_rate, smoothed, unrolled
+from nav_core.mounting.stretch import Record, followed, smoothed
 from nav_core.typing import Flags, Floats, Integers
 
 GRAVITY = 9.80665
@@ -247,7 +247,7 @@ def turned(record: Record, R_va: Floats, lag: float) -> Frame:
     inverse = 1.0 / np.maximum(speed, FLOOR_SPEED)
     rolling = speed > FLOOR_SPEED
     felt = np.where(rolling, f[:, 1] * inverse, 0.0)
-    seen = np.interp(record.t + lag, fixes.t, gps_rate(fixes.t, unrolled(fixes.course)))
+    seen = np.interp(record.t + lag, fixes.t, fixes.turn_rate)
     told = np.where(rolling & followed(fixes, record.t + lag, LONGEST_STEP), seen - felt, 0.0)
     w = felt + smoothed(record, told, TURN_SPAN)
     return Frame(f, w, w * speed, inverse)

@@ -19,18 +19,18 @@ from nav_core.mounting.model import (
     ROLL_GAIN,
     SPEED_LAG,
     UNLIKE_GAIN,
+    Frame,
     Noise,
     columns_of,
     first_order,
     per_step,
-    turned,
 )
 from nav_core.mounting.stretch import (
+    COARSE,
     Record,
     Steps,
     at,
-    clear_rate,
-    gps_rate,
+    clear_part,
     integrate,
     rough_share,
     smoothed,
@@ -155,29 +155,27 @@ def pitch_system(
     return P0, carry, Q, share, r
 
 
-def road_slope(record: Record, felt: Floats, *, fine: float = 2.0, coarse: float = 60.0) -> Floats:
+FINE = 2.0
+"""Half width of the mean that takes vibration from the slope, s."""
+
+
+def road_slope(record: Record, felt: Floats) -> Floats:
     """Slope at the ticks, good enough for its square.
 
     Parameters
     ----------
     record : Record
     felt : ndarray, shape (m,)
-        Longitudinal specific force less acceleration, over gravity.
-    fine, coarse : float
-        Half widths of the means, s: the force gives the waves between them, height the rest, because
-        a bias of the force times the slope would pass for pitch.
+        Longitudinal specific force less acceleration, over gravity.  It gives the waves between `FINE` and
+        `COARSE`, height the rest, because a bias of the force times the slope would pass for pitch.
 
     Returns
     -------
     ndarray, shape (m,)
         rad, uphill positive.
     """
-    fixes = record.fixes
-    waves = smoothed(record, felt, fine)
-    way = np.cumsum(fixes.speed * np.diff(fixes.t, prepend=fixes.t[0]))
-    pace = gps_rate(fixes.t, way, coarse)
-    rise = np.where(pace > 2.0, gps_rate(fixes.t, fixes.alt, coarse) / np.maximum(pace, 2.0), 0.0)
-    return waves - smoothed(record, waves, coarse) + np.interp(record.t, fixes.t, rise)
+    waves = smoothed(record, felt, FINE)
+    return waves - smoothed(record, waves, COARSE) + np.interp(record.t, record.fixes.t, record.fixes.rise)
 
 
 class Along(NamedTuple):
@@ -190,26 +188,23 @@ class Along(NamedTuple):
     """Specific force and its companions integrated over each step, shape (n, 9)."""
 
 
-def along_of(record: Record, R_va: Floats, lag: float) -> Along:
+def along_of(record: Record, lag: float, frame: Frame) -> Along:
     """The part of `pitch_plane` that does not depend on the noise levels.
 
     Parameters
     ----------
     record : Record
-    R_va : ndarray, shape (3, 3)
-        Present estimate.
     lag : float
         Present estimate of the lag of GPS speed, s.
+    frame : Frame
+        The ticks at that lag, in the V axes of the present estimate.
 
     Returns
     -------
     Along
     """
     steps = steps_of(record, lag)
-    frame = turned(record, R_va, lag)
-    fixes = record.fixes
-    acceleration = gps_rate(fixes.t, fixes.speed)
-    pushed = np.interp(record.t + lag, fixes.t, acceleration)
+    pushed = np.interp(record.t + lag, record.fixes.t, record.fixes.acceleration)
     quadratic = np.column_stack([pushed**2, frame.lateral**2, pushed * np.abs(pushed)]) / GRAVITY
     slope = road_slope(record, (frame.f[:, 0] - pushed) / GRAVITY)
     felt = np.column_stack([frame.f, quadratic, frame.w**2, 0.5 * GRAVITY * slope**2, record.density])
@@ -217,29 +212,25 @@ def along_of(record: Record, R_va: Floats, lag: float) -> Along:
     return Along(steps, at(record, steps.when, frame.w), total)
 
 
-def pitch_plane(record: Record, R_va: Floats, lag: float, noise: Noise, along: Along | None = None) -> Channel:
+def pitch_plane(record: Record, along: Along, noise: Noise) -> Channel:
     """Speed, climb and height against longitudinal and vertical specific force.
 
     Parameters
     ----------
     record : Record
-    R_va : ndarray, shape (3, 3)
-        Present estimate; the unknown turn is a small rotation about its V axes.
-    lag : float
-        Present estimate of the lag of GPS speed, s.
+    along : Along
+        What the ticks say at the present estimate; the unknown turn is a small rotation about its V axes.
     noise : Noise
-    along : Along, optional
-        `along_of` of the same record, mounting and lag, where it is known already.
 
     Returns
     -------
     Channel
         Measurements: GPS speed, GPS height, and "climb is speed times slope".
     """
-    steps, w, total = along or along_of(record, R_va, lag)
+    steps, w, total = along
     fixes = record.fixes
     keep = 1.0 - noise.pitch_gain[0]
-    change = clear_rate(fixes.t, fixes.speed, noise.speed_white)
+    change = clear_part(fixes.acceleration, noise.speed_white)
     U = np.zeros((steps.when.size, 2, 1 + PITCH_UNKNOWNS.size))
     U[:, 0, 0] = keep * total[:, 0] + noise.lever[0] * total[:, 6]
     U[:, 0, _COLUMN[1]], U[:, 0, _COLUMN[2]] = keep * total[:, 2], -keep * total[:, 1]

@@ -71,7 +71,7 @@ def self_test(record: Record, fit: Fit) -> SelfTest | None:
     if stretch is None:
         return None
     first, last = stretch
-    plane = pitch_plane(record, fit.R_va, fit.speed_lag, fit.noise)
+    plane = pitch_plane(record, fit.view.along, fit.noise)
     p = fit.p[plane.unknowns]
     U = np.zeros((last + 1, plane.U.shape[1], 2))
     Y = np.zeros((last + 1, plane.Y.shape[1], 2))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -23,9 +24,7 @@ class Span(NamedTuple):
     end: float
 
 
-class Fixes(NamedTuple):
-    """Usable fixes of a drive: repeats and crowding removed."""
-
+class _Columns(NamedTuple):
     t: Floats
     """Box time of arrival, s, shape (n,)."""
     speed: Floats
@@ -34,6 +33,33 @@ class Fixes(NamedTuple):
     alt: Floats
     """m, NaN where unknown."""
 
+
+class Fixes(_Columns):
+    """Usable fixes of a drive: repeats and crowding removed.
+
+    What follows from them alone is worked out once, however often a record is evaluated.
+    """
+
+    @cached_property
+    def acceleration(self) -> Floats:
+        """Rate of change of the speed, m/s², shape (n,)."""
+        return gps_rate(self.t, self.speed)
+
+    @cached_property
+    def turn_rate(self) -> Floats:
+        """Rate of change of the course, rad/s, shape (n,)."""
+        return gps_rate(self.t, unrolled(self.course))
+
+    @cached_property
+    def rise(self) -> Floats:
+        """Slope of the road by height over a minute or two, rad, uphill positive, shape (n,)."""
+        way = np.cumsum(self.speed * np.diff(self.t, prepend=self.t[0]))
+        pace = gps_rate(self.t, way, COARSE)
+        return np.where(pace > 2.0, gps_rate(self.t, self.alt, COARSE) / np.maximum(pace, 2.0), 0.0)
+
+
+COARSE = 60.0
+"""Half width of the means that divide a road's slope between force and height, s."""
 
 SPACING = 0.18
 LONG = 1200.0
@@ -301,8 +327,8 @@ def followed(fixes: Fixes, when: Floats, longest: float) -> Flags:
     return near
 
 
-def clear_rate(t: Floats, values: Floats, noise: Floats | float) -> Floats:
-    """Rate of change where it stands out of the receiver's `noise` (1 sigma), else nothing, shape (n,).
+def clear_part(rate: Floats, noise: Floats | float) -> Floats:
+    """A rate of change (`gps_rate`) where it stands out of the receiver's `noise` (1 sigma), else nothing, shape (n,).
 
     The derivatives to lags and suspension gains are taken from this.  The accelerometer would not
     do: it feels slope and bank as well, and a highway has more of those than of acceleration.  Nor
@@ -310,19 +336,16 @@ def clear_rate(t: Floats, values: Floats, noise: Floats | float) -> Floats:
 
     Parameters
     ----------
-    t : ndarray, shape (n,)
-        Box clock, s.
-    values : ndarray, shape (n,)
-        In any unit; NaN where unknown.
+    rate : ndarray, shape (n,)
+        In any unit per s.
     noise : ndarray or float, shape (n,)
-        In that unit; one number for all fixes will do.
+        Of what changes, in that unit; one number for all fixes will do.
 
     Returns
     -------
     ndarray, shape (n,)
         That unit per s.
     """
-    rate = gps_rate(t, values)
     doubt = 2.0 * noise / np.sqrt(2.0)
     return rate * np.clip(1.0 - (doubt / np.maximum(np.abs(rate), 1e-9)) ** 2, 0.0, 1.0)
 

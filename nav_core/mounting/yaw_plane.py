@@ -18,13 +18,13 @@ from nav_core.mounting.model import (
     LONGEST_STEP,
     ROLL_GAIN,
     YAW_UNKNOWNS,
+    Frame,
     Noise,
     columns_of,
     first_order,
     per_step,
-    turned,
 )
-from nav_core.mounting.stretch import Fixes, Record, Steps, at, clear_rate, integrate, rough_share, steps_of, unrolled
+from nav_core.mounting.stretch import Fixes, Record, Steps, at, clear_part, integrate, rough_share, steps_of
 from nav_core.mounting.whitening import Channel
 from nav_core.typing import Flags, Floats
 
@@ -48,23 +48,22 @@ class Across(NamedTuple):
     """Specific force over speed and its companions integrated over each step, shape (n, 5)."""
 
 
-def across_of(record: Record, R_va: Floats, lags: tuple[float, float]) -> Across:
+def across_of(record: Record, lag: float, frame: Frame) -> Across:
     """The part of `yaw_plane` that does not depend on the noise levels.
 
     Parameters
     ----------
     record : Record
-    R_va : ndarray, shape (3, 3)
-        Present estimate.
-    lags : tuple of float
-        Present estimates of the lags of GPS speed and course, s.
+    lag : float
+        Present estimate of the lag of GPS course, s.
+    frame : Frame
+        The ticks at the lag of GPS speed, in the V axes of the present estimate.
 
     Returns
     -------
     Across
     """
-    steps = steps_of(record, lags[1])
-    frame = turned(record, R_va, lags[0])
+    steps = steps_of(record, lag)
     inverse = frame.inverse_speed
     inputs = np.column_stack([frame.f * inverse[:, None], inverse, record.density * inverse**2])
     total = per_step(at(record, steps.when, integrate(record, inputs)), steps.broken)
@@ -74,27 +73,22 @@ def across_of(record: Record, R_va: Floats, lags: tuple[float, float]) -> Across
     return Across(steps, w, inverse_now, spin, total)
 
 
-def yaw_plane(
-    record: Record, R_va: Floats, lags: tuple[float, float], noise: Noise, across: Across | None = None
-) -> Channel:
+def yaw_plane(record: Record, across: Across, noise: Noise) -> Channel:
     """Course against lateral specific force; see `pitch_plane`.
 
     Parameters
     ----------
     record : Record
-    R_va : ndarray, shape (3, 3)
-    lags : tuple of float
-        Present estimates of the lags of GPS speed and course, s.
+    across : Across
+        What the ticks say at the present estimate.
     noise : Noise
-    across : Across, optional
-        `across_of` of the same record, mounting and lags, where it is known already.
 
     Returns
     -------
     Channel
         Measurement: GPS course.  States: course, bank, slow error of lateral velocity, drift of the bias.
     """
-    steps, w, inverse_now, spin, total = across or across_of(record, R_va, lags)
+    steps, w, inverse_now, spin, total = across
     elapsed = np.diff(steps.when, prepend=steps.when[:1])
     keep = 1.0 - noise.roll_gain[0]
     U = np.zeros((steps.when.size, 1, 1 + YAW_UNKNOWNS.size))
@@ -102,7 +96,7 @@ def yaw_plane(
     U[:, 0, _COLUMN[0]], U[:, 0, _COLUMN[2]] = -keep * total[:, 2], keep * total[:, 0]
     U[:, 0, _COLUMN[4]] = -total[:, 3]
     course_noise = noise.across_white / np.maximum(record.fixes.speed, FLOOR_SPEED)
-    turn_rate = clear_rate(record.fixes.t, unrolled(record.fixes.course), course_noise)
+    turn_rate = clear_part(record.fixes.turn_rate, course_noise)
     U[:, 0, _COLUMN[ROLL_GAIN]] = -turn_rate * steps.dt
     U[:, 0, _COLUMN[LEVER_X]] = -spin
     lost = steps.broken | (elapsed > LONGEST_STEP)

@@ -9,6 +9,7 @@ from nav_core.mounting.echo import echo
 from nav_core.mounting.model import UNKNOWNS, Noise
 from nav_core.mounting.pitch_plane import PITCH_OBSERVED, pitch_plane
 from nav_core.mounting.planes import PITCH_STATES, YAW_STATES, transitions
+from nav_core.mounting.refine import view_of
 from nav_core.mounting.stretch import blocks_of, prepare, usable_fixes
 from nav_core.mounting.whitening import Channel, at_point, measurements, process_noise, whiten, whiten_reference
 from nav_core.mounting.yaw_plane import YAW_OBSERVED, yaw_plane
@@ -61,10 +62,8 @@ def test_compiled_and_reference_agree(limit: float, period: float, states: int):
 def test_they_agree_on_a_drive(plane: str):
     drive, truth = simulate(Scenario(duration=60.0), seed=2)
     record = prepare(decimate(drive.inertial), usable_fixes(drive.gnss))
-    if plane == "pitch":
-        channel = pitch_plane(record, truth.R_va, 0.2, Noise())
-    else:
-        channel = yaw_plane(record, truth.R_va, (0.2, 0.3), Noise())
+    view = view_of(record, truth.R_va, (0.2, 0.3))
+    channel = pitch_plane(record, view.along, Noise()) if plane == "pitch" else yaw_plane(record, view.across, Noise())
     block = blocks_of(record.fixes.t, record.fixes.t[0], 5.0)
     p = np.zeros(UNKNOWNS)
     fast = whiten(channel, block, block[-1] + 1, p, limit=3.0)
