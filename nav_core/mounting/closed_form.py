@@ -15,7 +15,7 @@ import numpy as np
 from nav_core.mounting.echo import echo
 from nav_core.mounting.model import LONGEST_STEP, Noise, turned
 from nav_core.mounting.pitch_plane import HEIGHT, PITCH_OBSERVED, V, pitch_system
-from nav_core.mounting.stretch import Record, Steps, at, integrate, rough_share, steps_of
+from nav_core.mounting.stretch import Record, Steps, gained, rough_share, steps_of
 from nav_core.mounting.whitening import Channel, whiten
 from nav_core.mounting.yaw_plane import YAW_OBSERVED, yaw_system
 from nav_core.typing import Floats
@@ -66,10 +66,9 @@ def _planes(record: Record, level: Floats, lag: float, noise: Noise) -> tuple[Ch
     steps = steps_of(record, lag)
     frame = turned(record, level, lag)
     inverse, density = frame.inverse_speed, record.density
-    level_force = frame.f[:, :2]
-    inputs = np.column_stack([level_force, level_force * inverse[:, None], inverse, density, density * inverse**2])
-    total = np.diff(at(record, steps.when, integrate(record, inputs)), axis=0, prepend=0.0)
-    total[steps.broken] = 0.0
+    level_force = frame.f.T[:2]
+    columns = [*level_force, *(level_force * inverse), inverse, density, density * inverse**2]
+    total = gained(record, steps, columns)
     return _along(record, steps, total, noise), _across(record, steps, total, noise)
 
 

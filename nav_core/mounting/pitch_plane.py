@@ -23,7 +23,6 @@ from nav_core.mounting.model import (
     Noise,
     columns_of,
     first_order,
-    per_step,
 )
 from nav_core.mounting.stretch import (
     COARSE,
@@ -31,7 +30,7 @@ from nav_core.mounting.stretch import (
     Steps,
     at,
     clear_part,
-    integrate,
+    gained,
     rough_share,
     smoothed,
     steps_of,
@@ -186,6 +185,8 @@ class Along(NamedTuple):
     """Turn rate at the fixes, rad/s, shape (n,)."""
     total: Floats
     """Specific force and its companions integrated over each step, shape (n, 9)."""
+    grain: Floats
+    """Variance of sensor noise in the force over each step, (m/s)², shape (n,)."""
 
 
 def along_of(record: Record, lag: float, frame: Frame) -> Along:
@@ -205,11 +206,18 @@ def along_of(record: Record, lag: float, frame: Frame) -> Along:
     """
     steps = steps_of(record, lag)
     pushed = np.interp(record.t + lag, record.fixes.t, record.fixes.acceleration)
-    quadratic = np.column_stack([pushed**2, frame.lateral**2, pushed * np.abs(pushed)]) / GRAVITY
     slope = road_slope(record, (frame.f[:, 0] - pushed) / GRAVITY)
-    felt = np.column_stack([frame.f, quadratic, frame.w**2, 0.5 * GRAVITY * slope**2, record.density])
-    total = per_step(at(record, steps.when, integrate(record, felt)), steps.broken)
-    return Along(steps, at(record, steps.when, frame.w), total)
+    felt = [
+        *frame.f.T,
+        pushed**2 / GRAVITY,
+        frame.lateral**2 / GRAVITY,
+        pushed * np.abs(pushed) / GRAVITY,
+        frame.w**2,
+        0.5 * GRAVITY * slope**2,
+        record.density,
+    ]
+    total = gained(record, steps, felt)
+    return Along(steps, at(record, steps.when, frame.w), total, total[:, 8] * rough_share(steps.dt))
 
 
 def pitch_plane(record: Record, along: Along, noise: Noise) -> Channel:
@@ -227,7 +235,7 @@ def pitch_plane(record: Record, along: Along, noise: Noise) -> Channel:
     Channel
         Measurements: GPS speed, GPS height, and "climb is speed times slope".
     """
-    steps, w, total = along
+    steps, w, total, rough = along
     fixes = record.fixes
     keep = 1.0 - noise.pitch_gain[0]
     change = clear_part(fixes.acceleration, noise.speed_white)
@@ -257,7 +265,7 @@ def pitch_plane(record: Record, along: Along, noise: Noise) -> Channel:
     x0 = np.zeros(10)
     x0[V] = fixes.speed[0]
     x0[HEIGHT] = Y[0, 1, 0]
-    grain = np.repeat((total[:, 8] * rough_share(steps.dt))[:, None], 2, axis=1)
+    grain = np.repeat(rough[:, None], 2, axis=1)
     return Channel(
         x0,
         P0,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cached_property
 from typing import NamedTuple
 
@@ -9,9 +10,9 @@ import numpy as np
 from scipy.special import erf
 
 from nav_core.records import Gnss
-from nav_core.signal import KERNEL_TICKS, Ticks, first_not_before
+from nav_core.signal import KERNEL_TICKS, Ticks
 from nav_core.timebase import stale
-from nav_core.typing import Flags, Floats, Integers
+from nav_core.typing import Flags, Floats, Integers, kernel
 
 FOLLOW_SPEED = 2.0
 """Course is used above this speed, m/s."""
@@ -206,9 +207,46 @@ def smoothed(record: Record, values: Floats, reach: float) -> Floats:
     ndarray, shape (m,)
         In that unit.
     """
+    out = np.empty(values.size)
+    _mean_around(np.ascontiguousarray(record.t), np.ascontiguousarray(values), reach, out)
+    return out
+
+
+@kernel
+def _mean_around(t: Floats, values: Floats, reach: float, out: Floats) -> None:
+    n, first, last = t.size, 0, 0
+    total = np.empty(n + 1)
+    total[0] = 0.0
+    for i in range(n):
+        total[i + 1] = total[i] + values[i]
+    for i in range(n):
+        while t[first] < t[i] - reach:
+            first += 1
+        while last < n and t[last] <= t[i] + reach:
+            last += 1
+        out[i] = (total[last] - total[first]) / (last - first)
+
+
+def smoothed_reference(record: Record, values: Floats, reach: float) -> Floats:
+    """What `smoothed` computes, in plain array code.
+
+    Parameters
+    ----------
+    record : Record
+        m ticks.
+    values : ndarray, shape (m,)
+        In any unit.
+    reach : float
+        s.
+
+    Returns
+    -------
+    ndarray, shape (m,)
+        In that unit.
+    """
     total = np.concatenate([[0.0], np.cumsum(values)])
-    first = first_not_before(record.t, record.t - reach)
-    last = first_not_before(record.t, np.nextafter(record.t + reach, np.inf))
+    first = np.searchsorted(record.t, record.t - reach)
+    last = np.searchsorted(record.t, record.t + reach, side="right")
     return (total[last] - total[first]) / (last - first)
 
 
@@ -277,6 +315,69 @@ def steps_of(record: Record, lag: float) -> Steps:
     broken = np.abs(elapsed - covered) > 0.15
     broken[0] = True
     return Steps(when, covered, 0.5 * (speed + before) * elapsed, broken)
+
+
+def gained(record: Record, steps: Steps, columns: Sequence[Floats]) -> Floats:
+    """What running integrals of tick values (`integrate`) gain over each step.
+
+    Parameters
+    ----------
+    record : Record
+        m ticks, n fixes.
+    steps : Steps
+        n of them.
+    columns : sequence of ndarray, shape (m,)
+        k of them, each in any unit.
+
+    Returns
+    -------
+    ndarray, shape (n, k)
+        That unit times s; 0 where the step is broken.
+    """
+    out = np.zeros((steps.when.size, len(columns)))
+    if record.t.size > 1:
+        _gain(record.t, record.step, np.stack(columns), steps.when, steps.broken, out)
+    return out
+
+
+@kernel
+def _gain(t: Floats, step: Floats, columns: Floats, when: Floats, broken: Flags, out: Floats) -> None:
+    """One walk along ticks and steps for each column; between ticks the integral is taken as straight."""
+    for c in range(columns.shape[0]):
+        values = columns[c]
+        right, before, now, last = 0, 0.0, 0.0, 0.0
+        for i in range(when.size):
+            while right < t.size - 1 and (right == 0 or t[right] < when[i]):
+                right += 1
+                before = now
+                now += 0.5 * step[right] * (values[right] + values[right - 1])
+            share = (when[i] - t[right - 1]) / max(t[right] - t[right - 1], 1e-9)
+            there = before + min(max(share, 0.0), 1.0) * (now - before)
+            out[i, c] = 0.0 if broken[i] or i == 0 else there - last
+            last = there
+
+
+def gained_reference(record: Record, steps: Steps, columns: Sequence[Floats]) -> Floats:
+    """What `gained` computes, in plain array code.
+
+    Parameters
+    ----------
+    record : Record
+        m ticks, n fixes.
+    steps : Steps
+        n of them.
+    columns : sequence of ndarray, shape (m,)
+        k of them, each in any unit.
+
+    Returns
+    -------
+    ndarray, shape (n, k)
+        That unit times s; 0 where the step is broken.
+    """
+    total = at(record, steps.when, integrate(record, np.column_stack(columns)))
+    out = np.diff(total, axis=0, prepend=total[:1])
+    out[steps.broken] = 0.0
+    return out
 
 
 def gps_rate(t: Floats, values: Floats, reach: float = 1.0) -> Floats:

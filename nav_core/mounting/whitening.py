@@ -243,7 +243,13 @@ def at_point(channel: Channel, p: Floats) -> Channel:
     """
     weights = np.concatenate([[1.0], p[channel.unknowns]])
     nothing = channel.unknowns[:0]
-    return channel._replace(U=(channel.U @ weights)[..., None], Y=(channel.Y @ weights)[..., None], unknowns=nothing)
+
+    def there(values: Floats) -> Floats:
+        return (values.reshape(-1, weights.size) @ weights).reshape(
+            *values.shape[:-1], 1
+        )  # one product, not a step each
+
+    return channel._replace(U=there(channel.U), Y=there(channel.Y), unknowns=nothing)
 
 
 def process_noise(channel: Channel) -> Floats:

@@ -24,7 +24,7 @@ from nav_core.mounting.model import (
     first_order,
     per_step,
 )
-from nav_core.mounting.stretch import Fixes, Record, Steps, at, clear_part, integrate, rough_share, steps_of
+from nav_core.mounting.stretch import Fixes, Record, Steps, at, clear_part, gained, rough_share, steps_of
 from nav_core.mounting.whitening import Channel
 from nav_core.typing import Flags, Floats
 
@@ -46,6 +46,8 @@ class Across(NamedTuple):
     """Change of the turn rate in each step over the speed, rad/m, shape (n,)."""
     total: Floats
     """Specific force over speed and its companions integrated over each step, shape (n, 5)."""
+    grain: Floats
+    """Variance of sensor noise in the force over the speed, over each step, rad², shape (n,)."""
 
 
 def across_of(record: Record, lag: float, frame: Frame) -> Across:
@@ -65,12 +67,11 @@ def across_of(record: Record, lag: float, frame: Frame) -> Across:
     """
     steps = steps_of(record, lag)
     inverse = frame.inverse_speed
-    inputs = np.column_stack([frame.f * inverse[:, None], inverse, record.density * inverse**2])
-    total = per_step(at(record, steps.when, integrate(record, inputs)), steps.broken)
+    total = gained(record, steps, [*(frame.f.T * inverse), inverse, record.density * inverse**2])
     w = at(record, steps.when, frame.w)
     inverse_now = at(record, steps.when, inverse)
     spin = per_step(w, steps.broken) * inverse_now
-    return Across(steps, w, inverse_now, spin, total)
+    return Across(steps, w, inverse_now, spin, total, total[:, 4] * rough_share(steps.dt))
 
 
 def yaw_plane(record: Record, across: Across, noise: Noise) -> Channel:
@@ -88,7 +89,7 @@ def yaw_plane(record: Record, across: Across, noise: Noise) -> Channel:
     Channel
         Measurement: GPS course.  States: course, bank, slow error of lateral velocity, drift of the bias.
     """
-    steps, w, inverse_now, spin, total = across
+    steps, w, inverse_now, spin, total, rough = across
     elapsed = np.diff(steps.when, prepend=steps.when[:1])
     keep = 1.0 - noise.roll_gain[0]
     U = np.zeros((steps.when.size, 1, 1 + YAW_UNKNOWNS.size))
@@ -113,7 +114,7 @@ def yaw_plane(record: Record, across: Across, noise: Noise) -> Channel:
         Q,
         np.array([0]),
         U,
-        (total[:, 4] * rough_share(steps.dt))[:, None],
+        rough[:, None],
         YAW_OBSERVED,
         share,
         Y,

@@ -5,12 +5,23 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from nav_core.mounting.blows import cut_out
 from nav_core.mounting.echo import echo
 from nav_core.mounting.model import UNKNOWNS, Noise
 from nav_core.mounting.pitch_plane import PITCH_OBSERVED, pitch_plane
 from nav_core.mounting.planes import PITCH_STATES, YAW_STATES, transitions
 from nav_core.mounting.refine import view_of
-from nav_core.mounting.stretch import blocks_of, prepare, usable_fixes
+from nav_core.mounting.stretch import (
+    Span,
+    blocks_of,
+    gained,
+    gained_reference,
+    prepare,
+    smoothed,
+    smoothed_reference,
+    steps_of,
+    usable_fixes,
+)
 from nav_core.mounting.whitening import Channel, at_point, measurements, process_noise, whiten, whiten_reference
 from nav_core.mounting.yaw_plane import YAW_OBSERVED, yaw_plane
 from nav_core.signal import decimate
@@ -144,3 +155,18 @@ def test_a_channel_at_a_point_is_the_channel_there(states: int):
     np.testing.assert_allclose(fixed.misfit(p), whole.misfit(p), rtol=1e-9)
     np.testing.assert_allclose(fixed.log_det, whole.log_det, rtol=1e-9)
     np.testing.assert_array_equal(fixed.number, whole.number)
+
+
+def test_walks_along_the_ticks_and_their_references_agree():
+    drive, truth = simulate(Scenario(duration=90.0), seed=6)
+    whole = prepare(decimate(drive.inertial), usable_fixes(drive.gnss))
+    record = cut_out(whole, [Span(30.0, 38.0)])
+    assert (record.step[1:] == 0.0).any()
+    columns = [*(record.f @ truth.R_va.T).T, record.density]
+    for lag in (0.0, 0.37):
+        steps = steps_of(record, lag)
+        np.testing.assert_array_equal(gained(record, steps, columns), gained_reference(record, steps, columns))
+    for reach in (0.5, 20.0):
+        np.testing.assert_array_equal(
+            smoothed(record, columns[0], reach), smoothed_reference(record, columns[0], reach)
+        )
