@@ -10,7 +10,7 @@ import numpy as np
 from scipy.special import erf
 
 from nav_core.records import Gnss
-from nav_core.signal import KERNEL_TICKS, Ticks
+from nav_core.signal import KERNEL_TICKS, Ticks, first_not_before
 from nav_core.timebase import stale
 from nav_core.typing import Flags, Floats, Integers, kernel
 
@@ -414,7 +414,7 @@ def followed(fixes: Fixes, when: Floats, longest: float) -> Flags:
     fixes : Fixes
         n of them.
     when : ndarray, shape (m,)
-        Box clock of the fixes, s.
+        Box clock of the fixes, not decreasing, s.
     longest : float
         How long before or after, s.
 
@@ -423,7 +423,7 @@ def followed(fixes: Fixes, when: Floats, longest: float) -> Flags:
     ndarray of bool, shape (m,)
     """
     known = np.concatenate([[-np.inf], fixes.t[np.isfinite(fixes.course)], [np.inf]])
-    after = np.searchsorted(known, when)
+    after = first_not_before(known, when)
     near: Flags = np.minimum(when - known[after - 1], known[after] - when) <= longest
     return near
 
