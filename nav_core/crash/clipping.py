@@ -72,11 +72,11 @@ def saturated(f_a: Floats, known: float | None = None) -> Saturation:
     -----
     A calibration that mixes the axes bends the flat top; then nothing is found, and nothing is claimed.
     """
-    size = np.abs(f_a)
-    top = float(size.max(initial=0.0))
+    top = max(float(f_a.max(initial=0.0)), -float(f_a.min(initial=0.0)))
     nothing = Saturation(np.zeros(f_a.shape, dtype=np.bool_), None)
     if top < 1.9 * STANDARD_GRAVITY:
         return nothing
+    size = np.abs(f_a)
     at_top = size >= (1.0 - FLAT) * top
     in_g = top / STANDARD_GRAVITY
     sold = min(abs(in_g - each) / each for each in RANGES) < FLAT

@@ -17,6 +17,8 @@ from nav_core.events.trigger import (
     Stream,
     Window,
     groups,
+    off_rest,
+    sideways_within,
 )
 from nav_core.records import Remark
 from nav_core.signal import first_not_before
@@ -76,8 +78,7 @@ def swipes(scene: Scene, found: list[Finding]) -> list[Finding]:
         Of kind ``crash``, with the remark ``below_trigger``.
     """
     stream = scene.stream
-    j = np.minimum(first_not_before(stream.t, stream.t + 0.1), stream.t.size - 1)
-    sideways = (np.abs(stream.v[j, 1] - stream.v[:, 1]) >= SWIPE_CHANGE) & _free(stream, found, 1.0)
+    sideways = (np.abs(sideways_within(stream, 0.1)) >= SWIPE_CHANGE) & _free(stream, found, 1.0)
     out: list[Finding] = []
     for first, last in groups(sideways, stream.t, 0.3):
         window = window_at(scene, core_of(stream, first, last), threshold=THRESHOLD / 2.0)
@@ -281,7 +282,7 @@ def shocks(scene: Scene, found: list[Finding]) -> list[Finding]:
         Of kind ``road_shock``.
     """
     stream = scene.stream
-    off = np.linalg.norm(stream.f - stream.rest, axis=1)
+    off = off_rest(stream)
     hard = (off >= SHOCK[scene.vehicle_class]) & _free(stream, found, 1.0)
     out: list[Finding] = []
     for first, last in groups(hard, stream.t, 1.0):

@@ -349,6 +349,60 @@ def _changes(t: Floats, v: Floats, windows: Floats, floor: float = 0.0) -> Float
     return best
 
 
+@kernel
+def _off(f: Floats, rest: Floats, out: Floats) -> None:
+    for i in range(f.shape[0]):
+        x, y, z = f[i, 0] - rest[i, 0], f[i, 1] - rest[i, 1], f[i, 2] - rest[i, 2]
+        out[i] = np.sqrt(x * x + y * y + z * z)
+
+
+def off_rest(stream: Stream) -> Floats:
+    """Size of the force off its surroundings, ``norm(f - rest)``, m/s², shape (n,).
+
+    Parameters
+    ----------
+    stream : Stream
+        Specific force, any axes.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        m/s².
+    """
+    out = np.empty(stream.t.size)
+    _off(np.ascontiguousarray(stream.f), np.ascontiguousarray(stream.rest), out)
+    return out
+
+
+@kernel
+def _sideways(t: Floats, v: Floats, window: float, out: Floats) -> None:
+    j = 0
+    for i in range(t.size):
+        while j < t.size - 1 and t[j] < t[i] + window:
+            j += 1
+        out[i] = v[j, 1] - v[i, 1]
+
+
+def sideways_within(stream: Stream, window: float) -> Floats:
+    """Change of the velocity across the vehicle from each sample over the following window, m/s, shape (n,).
+
+    Parameters
+    ----------
+    stream : Stream
+        V axes.
+    window : float
+        s.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        m/s, right positive.
+    """
+    out = np.empty(stream.t.size)
+    _sideways(np.ascontiguousarray(stream.t), np.ascontiguousarray(stream.v), window, out)
+    return out
+
+
 def change_within(stream: Stream, window: float) -> Floats:
     """Horizontal change of velocity from each sample over the following window, m/s, shape (n,).
 

@@ -14,10 +14,11 @@ from dataclasses import replace
 import numpy as np
 
 from nav_core.mounting.model import Noise
-from nav_core.mounting.pitch_plane import along_of, pitch_plane
+from nav_core.mounting.pitch_plane import pitch_plane
+from nav_core.mounting.refine import View
 from nav_core.mounting.stretch import Record
 from nav_core.mounting.whitening import Channel, at_point, whiten
-from nav_core.mounting.yaw_plane import across_of, yaw_plane
+from nav_core.mounting.yaw_plane import yaw_plane
 from nav_core.typing import Floats
 
 _LADDER = (1.0, 1.5, 2.2, 3.3, 5.0, 8.0)
@@ -37,16 +38,15 @@ GAIN = 6.0
 """A step up must raise twice the log likelihood by this much."""
 
 
-def adapted(record: Record, R_va: Floats, lags: tuple[float, float], noise: Noise, p: Floats, limit: float) -> Noise:
+def adapted(record: Record, view: View, noise: Noise, p: Floats, limit: float) -> Noise:
     """Noise levels that explain the record at a given mounting.
 
     Parameters
     ----------
     record : Record
         A representative stretch.
-    R_va : ndarray, shape (3, 3)
-    lags : tuple of float
-        Of GPS speed and course, s.
+    view : View
+        Of the record, at that mounting.
     noise : Noise
         Where to begin.
     p : ndarray, shape (14,)
@@ -60,17 +60,15 @@ def adapted(record: Record, R_va: Floats, lags: tuple[float, float], noise: Nois
     """
     block = np.zeros(record.fixes.t.size, dtype=np.int64)
 
-    along, across = along_of(record, R_va, lags[0]), across_of(record, R_va, lags)
-
     def cost(channel: Channel) -> float:
         evidence = whiten(at_point(channel, p), block, 1, p, limit=limit)
         return float((evidence.misfit(p) + evidence.log_det).sum())
 
     def pitch_cost(trial: Noise) -> float:
-        return cost(pitch_plane(record, R_va, lags[0], trial, along))
+        return cost(pitch_plane(record, view.along, trial))
 
     def yaw_cost(trial: Noise) -> float:
-        return cost(yaw_plane(record, R_va, lags, trial, across))
+        return cost(yaw_plane(record, view.across, trial))
 
     found = noise
     for groups, of_trial in ((_PITCH_LEVELS, pitch_cost), (_YAW_LEVELS, yaw_cost)):

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from nav_core.mounting.model import TURN, UNKNOWNS, Noise, prior
-from nav_core.mounting.refine import weigh
+from nav_core.mounting.refine import view_of, weigh
 from nav_core.mounting.stretch import FOLDS, prepare, usable_fixes
 from nav_core.signal import decimate
 from nav_core.simulate import Scenario, simulate
@@ -92,7 +92,7 @@ def mounting_bound(scenario: Scenario, *, seed: int) -> Floats:
         variance += (scenario.vibration_idle + (scenario.vibration - scenario.vibration_idle) * share) ** 2
     record = record._replace(density=variance / scenario.accel_rate)
     noise, lags = true_noise(scenario), (0.0, 0.0)
-    gram = weigh(record, truth.R_va, lags, noise, np.zeros(UNKNOWNS), np.inf).gram.sum((0, 1))
+    gram = weigh(record, view_of(record, truth.R_va, lags), noise, np.zeros(UNKNOWNS), np.inf).gram.sum((0, 1))
     diagonal, _ = prior(noise, lags)
     covariance: Floats = np.linalg.inv(gram[1:, 1:] + np.diag(diagonal + 1e-6))
     return covariance[TURN, TURN]

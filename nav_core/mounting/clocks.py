@@ -78,15 +78,14 @@ def _lasting(t: Floats, offset: Floats, spans: tuple[Span, ...], reach: int = 4)
     windows = np.median(np.lib.stride_tricks.sliding_window_view(offset[usable], reach), axis=1)
     change = windows[reach:] - windows[:-reach]
     found: list[tuple[int, float]] = []
-    i = 0
-    while i < change.size:
-        if abs(change[i]) <= JUMP:
-            i += 1
+    after = 0
+    for i in np.flatnonzero(np.abs(change) > JUMP).tolist():
+        if i < after:
             continue
         near = np.diff(offset[usable])[i : i + 2 * reach - 1]
         place = usable[i + int(np.argmax(np.abs(near)))]
         found.append((int(place), float(near[np.argmax(np.abs(near))])))
-        i += 2 * reach
+        after = i + 2 * reach
     return [(place, jump) for place, jump in found if not _inside(t[place + 1 : place + 2], spans).any()]
 
 

@@ -14,10 +14,10 @@ import numpy as np
 
 from nav_core.mounting.echo import echo
 from nav_core.mounting.model import LONGEST_STEP, Noise, turned
-from nav_core.mounting.pitch_plane import HEIGHT, V, pitch_system
-from nav_core.mounting.stretch import Record, Steps, at, integrate, rough_share, steps_of
+from nav_core.mounting.pitch_plane import HEIGHT, PITCH_OBSERVED, V, pitch_system
+from nav_core.mounting.stretch import Record, Steps, gained, rough_share, steps_of
 from nav_core.mounting.whitening import Channel, whiten
-from nav_core.mounting.yaw_plane import yaw_system
+from nav_core.mounting.yaw_plane import YAW_OBSERVED, yaw_system
 from nav_core.typing import Floats
 
 LAG_GRID = np.arange(0.0, 2.01, 0.25)
@@ -66,10 +66,9 @@ def _planes(record: Record, level: Floats, lag: float, noise: Noise) -> tuple[Ch
     steps = steps_of(record, lag)
     frame = turned(record, level, lag)
     inverse, density = frame.inverse_speed, record.density
-    level_force = frame.f[:, :2]
-    inputs = np.column_stack([level_force, level_force * inverse[:, None], inverse, density, density * inverse**2])
-    total = np.diff(at(record, steps.when, integrate(record, inputs)), axis=0, prepend=0.0)
-    total[steps.broken] = 0.0
+    level_force = frame.f.T[:2]
+    columns = [*level_force, *(level_force * inverse), inverse, density, density * inverse**2]
+    total = gained(record, steps, columns)
     return _along(record, steps, total, noise), _across(record, steps, total, noise)
 
 
@@ -78,13 +77,15 @@ def _along(record: Record, steps: Steps, total: Floats, noise: Noise) -> Channel
     U = np.zeros((count, 1, 5))
     U[:, 0, 1:3], U[:, 0, 3] = total[:, :2], steps.dt
     size = np.hypot(total[:, 0], total[:, 1])
-    P0, Phi, Q, H, r = pitch_system(record, steps, noise, size, np.zeros(count), total[:, 5])
+    P0, carry, Q, share, r = pitch_system(record, steps, noise, size, np.zeros(count), total[:, 5])
     r[:, 2] = np.nan  # the vertical force waits for the refinement
     Y = np.zeros((count, 3, 5))
     Y[:, 0, 0], Y[:, 1, 0] = fixes.speed, np.nan_to_num(fixes.alt)
     x0 = np.zeros(P0.shape[0])
     x0[V], x0[HEIGHT] = Y[0, 0, 0], Y[0, 1, 0]
-    return Channel(x0, P0, Phi, Q, np.array([V]), U, _rough(total[:, 5], steps), H, Y, r, np.zeros(3), np.arange(4))
+    grain = _rough(total[:, 5], steps)
+    driven, unknowns = np.array([V]), np.arange(4)
+    return Channel(x0, P0, carry, Q, driven, U, grain, PITCH_OBSERVED, share, Y, r, np.zeros(3), unknowns)
 
 
 def _across(record: Record, steps: Steps, total: Floats, noise: Noise) -> Channel:
@@ -94,13 +95,13 @@ def _across(record: Record, steps: Steps, total: Floats, noise: Noise) -> Channe
     elapsed = np.diff(steps.when, prepend=steps.when[:1])
     size = np.hypot(total[:, 2], total[:, 3])
     lost = steps.broken | (elapsed > LONGEST_STEP)
-    P0, Phi, Q, H, r = yaw_system(fixes, steps, noise, size, total[:, 4], total[:, 6], lost)
+    P0, carry, Q, share, r = yaw_system(fixes, steps, noise, size, total[:, 4], total[:, 6], lost)
     Y = np.zeros((count, 1, 5))
     Y[:, 0, 0] = np.nan_to_num(fixes.course)
     x0 = np.zeros(P0.shape[0])
-    return Channel(
-        x0, P0, Phi, Q, np.array([0]), U, _rough(total[:, 6], steps), H, Y, r, np.array([2.0 * np.pi]), np.arange(4)
-    )
+    grain = _rough(total[:, 6], steps)
+    driven, turn, unknowns = np.array([0]), np.array([2.0 * np.pi]), np.arange(4)
+    return Channel(x0, P0, carry, Q, driven, U, grain, YAW_OBSERVED, share, Y, r, turn, unknowns)
 
 
 def _rough(grain: Floats, steps: Steps) -> Floats:
@@ -143,32 +144,31 @@ def start(record: Record, noise: Noise) -> Start:
             )
         )
     information = np.diag([1e-2, 1e-2, INTERCEPT**-2, INTERCEPT**-2])
-    trials: list[tuple[float, int, int, Floats, Floats]] = []
-    mirrored = np.inf
-    for i, (along, _) in enumerate(grams):
-        for j, (_, across) in enumerate(grams):
-            gram = along + across
-            p, cost = _best(gram, information)
-            # A shade in favour of short lags: on a straight road every lag of the course is as good.
-            cost += float(LAG_GRID[i] + LAG_GRID[j])
-            trials.append((cost, i, j, p, gram[1:, 1:] + information))
-            # Left-handed axes change the sign of what the force does across the travel, and of nothing else.
-            _, other = _best(along + np.outer(_ACROSS, _ACROSS) * across, information)
-            mirrored = min(mirrored, other + float(LAG_GRID[i] + LAG_GRID[j]))
-    cost, i, j, p, posterior = min(trials, key=lambda trial: trial[0])
+    along, across = (np.stack(each) for each in zip(*grams, strict=True))
+    along, across = along[:, None], across[None, :]
+    # A shade in favour of short lags: on a straight road every lag of the course is as good.
+    shade = LAG_GRID[:, None] + LAG_GRID[None, :]
+    trials, costs = _best(along + across, information)
+    costs += shade
+    i, j = (int(k) for k in np.unravel_index(np.argmin(costs), costs.shape))
+    # Left-handed axes change the sign of what the force does across the travel, and of nothing else.
+    _, mirrored = _best(along + np.outer(_ACROSS, _ACROSS) * across, information)
+    p, cost = trials[i, j], float(costs[i, j])
+    posterior = along[i, 0, 1:, 1:] + across[0, j, 1:, 1:] + information
     strength = float(np.hypot(p[0], p[1]))
     heading = np.arctan2(p[1], p[0])
     c, s = np.cos(heading), np.sin(heading)
-    across = np.array([-s, c, 0.0, 0.0])
-    sigma = float(np.sqrt(across @ np.linalg.solve(posterior, across)) / max(strength, 1e-9))
+    aside = np.array([-s, c, 0.0, 0.0])
+    sigma = float(np.sqrt(aside @ np.linalg.solve(posterior, aside)) / max(strength, 1e-9))
     R_va = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) @ level
-    return Start(R_va, float(LAG_GRID[i]), float(LAG_GRID[j]), strength, sigma, mirrored - cost)
+    return Start(R_va, float(LAG_GRID[i]), float(LAG_GRID[j]), strength, sigma, float((mirrored + shade).min()) - cost)
 
 
 _ACROSS = np.array([1.0, -1.0, -1.0, 1.0, 1.0])
 
 
-def _best(gram: Floats, information: Floats) -> tuple[Floats, float]:
-    """Unknowns that explain the products best, and what they leave."""
-    p = -np.asarray(np.linalg.solve(gram[1:, 1:] + information, gram[1:, 0]), dtype=np.float64)
-    return p, float(gram[0, 0] + gram[1:, 0] @ p)
+def _best(gram: Floats, information: Floats) -> tuple[Floats, Floats]:
+    """Unknowns that explain the products best, and what they leave: shapes (..., 4) and (...)."""
+    pull = gram[..., 1:, 0]
+    p = -np.asarray(np.linalg.solve(gram[..., 1:, 1:] + information, pull[..., None]), dtype=np.float64)[..., 0]
+    return p, gram[..., 0, 0] + (pull * p).sum(-1)

@@ -4,59 +4,69 @@ from __future__ import annotations
 
 import numpy as np
 
-from nav_core.mounting.whitening import Channel, Sizes, predict
-from nav_core.typing import Floats, kernel
+from nav_core.mounting.planes import Sizes, carried, carried_back, padded, seen, taken_in
+from nav_core.mounting.whitening import Channel
+from nav_core.typing import Floats, Integers, kernel
 
 
 @kernel
-def _echo(  # noqa: C901, PLR0912  unrolled products that skip zeros
-    x0: Sizes, P0: Floats, Phi: Floats, Q: Floats, H: Floats, r: Floats, seen: Floats
+def _echo(
+    x0: Sizes,
+    P0: Floats,
+    carry: Floats,
+    Q: Floats,
+    observed: Integers,
+    share: Floats,
+    r: Floats,
+    told: Floats,
 ) -> None:
-    """Set `seen` to what the later innovations tell of an impulse in each state after each step.
+    """Set `told` to what the later innovations tell of an impulse in each state after each step.
 
     Forwards the filter, which keeps its gains; backwards the information that is still to come.
     """
-    steps, k, n = Phi.shape[0], H.shape[1], len(x0)
-    X, P, half = np.zeros((n, 0)), P0.copy(), np.zeros((n, n))
+    n, p, k, steps = len(x0), padded(len(x0)), observed.shape[0], carry.shape[1]
+    z, t = np.zeros(n * p), np.zeros(p)
     gains, variances = np.zeros((steps, k, n)), np.zeros((steps, k))
+    for a in range(n):
+        for b in range(n):
+            z[a * p + b] = P0[a, b]
     for i in range(steps):
-        predict(Phi[i], Q[i], X, P, X, half, x0, ())
+        carried(z, x0, (), carry, i, Q)
         for m in range(k):
             if np.isfinite(r[i, m]):
-                h, gain, s = H[i, m], gains[i, m], r[i, m]
-                for b in range(n):
-                    if h[b] != 0.0:
-                        for a in range(n):
-                            gain[a] += P[a, b] * h[b]
-                for a in range(n):
-                    s += h[a] * gain[a]
-                for a in range(n):
-                    for b in range(n):
-                        P[a, b] -= gain[a] / s * gain[b]
-                for a in range(n):
-                    gain[a] /= s
-                variances[i, m] = s
-    M, Mk, nothing = np.zeros((n, n)), np.zeros(n), np.zeros((n, n))
+                variances[i, m] = seen(z, x0, (), observed[m], share[m, i], r[i, m], t)
+                taken_in(z, x0, (), t, variances[i, m], gains[i, m])
+    z[:] = 0.0
     for i in range(steps - 1, -1, -1):
         for m in range(k - 1, -1, -1):
             if np.isfinite(r[i, m]):
-                # M <- (I - k h')' M (I - k h') + h h' / s
-                h, gain, told = H[i, m], gains[i, m], 1.0 / variances[i, m]
-                for a in range(n):
-                    Mk[a] = 0.0
-                    for b in range(n):
-                        Mk[a] += M[a, b] * gain[b]
-                    told += gain[a] * Mk[a]
-                for a in range(n):
-                    if h[a] != 0.0:
-                        for b in range(n):
-                            M[a, b] -= h[a] * Mk[b]
-                            M[b, a] -= h[a] * Mk[b]
-                        for b in range(n):
-                            M[a, b] += told * h[a] * h[b]
+                _given_back(z, x0, observed[m], share[m, i], variances[i, m], gains[i, m], t)
         for a in range(n):
-            seen[i, a] = M[a, a]
-        predict(Phi[i].T, nothing, X, M, X, half, x0, ())  # information goes back as covariance goes on
+            told[i, a] = z[a * p + a]
+        carried_back(z, x0, carry, i)
+
+
+@kernel
+def _given_back(z: Floats, x0: Sizes, rows: Integers, share: float, variance: float, gain: Floats, Mk: Floats) -> None:
+    """``M <- (I - k h')' M (I - k h') + h h' / s`` in place."""
+    n, p = len(x0), padded(len(x0))
+    for j in range(p):
+        Mk[j] = 0.0
+    for b in range(n):
+        for j in range(p):
+            Mk[j] += gain[b] * z[b * p + j]
+    told = 1.0 / variance
+    for b in range(n):
+        told += gain[b] * Mk[b]
+    for a, h in ((rows[0], 1.0), (rows[1], share)):
+        for j in range(n):
+            z[a * p + j] -= h * Mk[j]
+            z[j * p + a] -= h * Mk[j]
+    first, other = rows[0], rows[1]
+    z[first * p + first] += told
+    z[first * p + other] += told * share
+    z[other * p + first] += told * share
+    z[other * p + other] += told * share * share
 
 
 def echo(channel: Channel) -> Floats:
@@ -75,7 +85,7 @@ def echo(channel: Channel) -> Floats:
     ndarray, shape (d,)
         Expected sum of squares of the whitened innovations that the noise of each driven state causes.
     """
-    P0, Phi, Q, H, r = map(np.ascontiguousarray, (channel.P0, channel.Phi, channel.Q, channel.H, channel.r))
-    seen = np.empty(Phi.shape[:2])
-    _echo(tuple(channel.x0.tolist()), P0, Phi, Q, H, r, seen)
-    return np.asarray((channel.grain * seen[:, channel.driven]).sum(axis=0), dtype=np.float64)
+    P0, carry, Q, share, r = map(np.ascontiguousarray, (channel.P0, channel.carry, channel.Q, channel.share, channel.r))
+    told = np.empty((carry.shape[1], channel.x0.size))
+    _echo(tuple(channel.x0.tolist()), P0, carry, Q, channel.observed, share, r, told)
+    return np.asarray((channel.grain * told[:, channel.driven]).sum(axis=0), dtype=np.float64)

@@ -23,8 +23,8 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from nav_core.mounting.stretch import Record, followed, gps_rate, smoothed, unrolled
-from nav_core.typing import Flags, Floats
+from nav_core.mounting.stretch import Record, followed, smoothed
+from nav_core.typing import Flags, Floats, Integers
 
 GRAVITY = 9.80665
 MILLI_G = 1e-3 * GRAVITY
@@ -36,6 +36,24 @@ PITCH_GAIN, ROLL_GAIN, LEVER_X, ANTENNA_X, ANTENNA_Y, SPEED_LAG, COURSE_LAG, UNL
 UNKNOWNS = 14
 PITCH_UNKNOWNS = np.array([0, 1, 2, 3, 5, PITCH_GAIN, ROLL_GAIN, LEVER_X, ANTENNA_Y, SPEED_LAG, UNLIKE_GAIN])
 YAW_UNKNOWNS = np.array([0, 2, 4, ROLL_GAIN, LEVER_X, ANTENNA_X, COURSE_LAG])
+
+
+def columns_of(unknowns: Integers) -> list[int]:
+    """Where each unknown stands among a channel's columns.
+
+    Parameters
+    ----------
+    unknowns : ndarray of int, shape (c - 1,)
+        Those of the channel.
+
+    Returns
+    -------
+    list of int
+        By unknown; -1 for those that do not act there.
+    """
+    column = np.full(UNKNOWNS, -1)
+    column[unknowns] = 1 + np.arange(unknowns.size)
+    return column.tolist()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -229,7 +247,7 @@ def turned(record: Record, R_va: Floats, lag: float) -> Frame:
     inverse = 1.0 / np.maximum(speed, FLOOR_SPEED)
     rolling = speed > FLOOR_SPEED
     felt = np.where(rolling, f[:, 1] * inverse, 0.0)
-    seen = np.interp(record.t + lag, fixes.t, gps_rate(fixes.t, unrolled(fixes.course)))
+    seen = np.interp(record.t + lag, fixes.t, fixes.turn_rate)
     told = np.where(rolling & followed(fixes, record.t + lag, LONGEST_STEP), seen - felt, 0.0)
     w = felt + smoothed(record, told, TURN_SPAN)
     return Frame(f, w, w * speed, inverse)

@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from nav_core.mounting.confidence import FLOOR, assess
 from nav_core.mounting.model import MILLI_G, TURN, Noise
 from nav_core.mounting.quality import excitation, fits_a_car
-from nav_core.mounting.refine import BLOCK, HUBER, Fit, weigh
+from nav_core.mounting.refine import BLOCK, HUBER, Fit, view_of, weigh
 from nav_core.mounting.solution import Solution, between, matched, solve
 from nav_core.mounting.stretch import Record
 from nav_core.rotation import error_between
@@ -276,7 +276,7 @@ def _moment(record: Record, when: float, before: Fit, after: Fit, noise: Noise) 
     lags = (before.speed_lag, before.course_lag)
 
     def cost(R_va: Floats, p: Floats) -> Floats:
-        evidence = weigh(near, R_va, lags, noise, before.p, HUBER, restart=not small)
+        evidence = weigh(near, view_of(near, R_va, lags), noise, before.p, HUBER, restart=not small)
         return (evidence.misfit(p) + evidence.log_det).sum(1)
 
     turned = before.p.copy()

@@ -40,7 +40,7 @@ from nav_core.mounting.stretch import (
     Fixes,
     Record,
     at,
-    clear_rate,
+    clear_part,
     gps_rate,
     integrate,
     prepare,
@@ -165,8 +165,8 @@ def rows_of(
     squares = np.column_stack([a**2 / GRAVITY, (fixes.speed * side) ** 2 / GRAVITY, side**2])
     middle = np.clip(take - 1, 0, None)
     rows[:, SQUARE_ALONG : SQUARE_TURN + 1] = 0.5 * (squares[take] + squares[middle]) * elapsed[:, None]
-    rows[:, ACCELERATION] = clear_rate(fixes.t, fixes.speed, tuning.speed_white)[take]
-    rows[:, TURN_RATE] = clear_rate(fixes.t, unrolled(fixes.course), across)[take]
+    rows[:, ACCELERATION] = clear_part(fixes.acceleration, tuning.speed_white)[take]
+    rows[:, TURN_RATE] = clear_part(fixes.turn_rate, across)[take]
 
     edges = np.append(place.course_at, when_course)
     apart = np.diff(edges)

@@ -18,29 +18,30 @@ from nav_core.mounting.model import (
     PITCH_UNKNOWNS,
     ROLL_GAIN,
     SPEED_LAG,
-    UNKNOWNS,
     UNLIKE_GAIN,
+    Frame,
     Noise,
+    columns_of,
     first_order,
-    per_step,
-    turned,
 )
 from nav_core.mounting.stretch import (
+    COARSE,
     Record,
     Steps,
     at,
-    clear_rate,
-    gps_rate,
-    integrate,
+    clear_part,
+    gained,
     rough_share,
     smoothed,
     steps_of,
 )
-from nav_core.mounting.whitening import Channel, matrices
+from nav_core.mounting.whitening import Channel
 from nav_core.typing import Floats
 
 # States of the pitch plane.
 V, CLIMB, SLOPE, CURVE, HEIGHT, SPEED_ERROR, HEIGHT_ERROR, TILT, DRIFT_X, DRIFT_Z = range(10)
+PITCH_OBSERVED = np.array([(V, SPEED_ERROR), (HEIGHT, HEIGHT_ERROR), (CLIMB, SLOPE)])
+_COLUMN = columns_of(PITCH_UNKNOWNS)
 
 
 def pitch_system(
@@ -70,12 +71,12 @@ def pitch_system(
     -------
     P0 : ndarray, shape (10, 10)
         Covariance of the states at the first fix: V, CLIMB, SLOPE, ... as numbered above.
-    Phi : ndarray, shape (n, 10, 10)
-        Transition over each step.
-    Q : ndarray, shape (n, 10, 10)
-        Its noise.
-    H : ndarray, shape (n, 3, 10)
-        Of speed, height, and climb by slope.
+    carry : ndarray, shape (14, n)
+        Coefficients of the transition over each step; see `planes`.
+    Q : ndarray, shape (11, n)
+        Its noise: variances, and the covariance of slope and curvature.
+    share : ndarray, shape (3, n)
+        Of the second state in speed, height, and climb by slope; see `PITCH_OBSERVED`.
     r : ndarray, shape (n, 3)
         Variances; NaN where not measured.
     """
@@ -98,55 +99,41 @@ def pitch_system(
     along = np.exp(-d / noise.bank_length)
     speed_kept, speed_fresh = first_order(elapsed, noise.slow_time)
     height_kept, height_fresh = first_order(elapsed, noise.height_time)
-    steady = dict.fromkeys([(state, state) for state in (V, CLIMB, HEIGHT, DRIFT_X, DRIFT_Z)], 1.0)
-    Phi = matrices(
-        count,
-        10,
-        {
-            **steady,
-            (V, DRIFT_X): -steps.dt,
-            (CLIMB, DRIFT_Z): -steps.dt,
-            (CLIMB, SLOPE): -np.diff(fixes.speed, prepend=fixes.speed[:1]),
-            (CLIMB, TILT): -swing,
-            (V, SLOPE): -GRAVITY * steps.dt * of_slope,
-            (V, CURVE): -GRAVITY * steps.dt * of_curve,
-            (HEIGHT, SLOPE): d * of_slope,
-            (HEIGHT, CURVE): d * of_curve,
-            (SLOPE, SLOPE): ss,
-            (SLOPE, CURVE): sc,
-            (CURVE, SLOPE): cs,
-            (CURVE, CURVE): cc,
-            (TILT, TILT): along,
-            (SPEED_ERROR, SPEED_ERROR): speed_kept,
-            (HEIGHT_ERROR, HEIGHT_ERROR): height_kept,
-        },
+    swell = -GRAVITY * steps.dt
+    carry = np.stack(
+        [
+            -steps.dt,  # of the drifts, into speed and climb
+            -np.diff(fixes.speed, prepend=fixes.speed[:1]),  # of the slope, into climb
+            -swing,  # of the tilt, into climb
+            swell * of_slope,  # of slope and curvature, into speed
+            swell * of_curve,
+            d * of_slope,  # and into height
+            d * of_curve,
+            ss,
+            sc,
+            cs,
+            cc,
+            along,
+            speed_kept,
+            height_kept,
+        ]
     )
     lost = np.where(steps.broken, 1e4, 0.0)
     shaken = noise.force**2 * steps.dt + grain
-    mixed = -(ss * slope * cs + sc * curve * cc)
-    Q = matrices(
-        count,
-        10,
-        {
-            (DRIFT_X, DRIFT_X): noise.drift**2 * elapsed,
-            (DRIFT_Z, DRIFT_Z): noise.drift**2 * elapsed,
-            (SLOPE, SLOPE): slope - (ss * slope * ss + sc * curve * sc),
-            (SLOPE, CURVE): mixed,
-            (CURVE, SLOPE): mixed,
-            (CURVE, CURVE): curve - (cs * slope * cs + cc * curve * cc),
-            (TILT, TILT): (1.0 - along**2) * noise.bank**2,
-            (SPEED_ERROR, SPEED_ERROR): speed_fresh * noise.speed_slow**2,
-            (HEIGHT_ERROR, HEIGHT_ERROR): height_fresh * noise.height_slow**2,
-            (V, V): shaken + (noise.relative * change) ** 2 + lost,
-            (CLIMB, CLIMB): shaken + lost,
-            # Over a long gap the vehicle may have got anywhere, by a ramp, a train, or a reset of the receiver.
-            (HEIGHT, HEIGHT): (0.02 * d) ** 2 * steps.broken + np.where(elapsed > LONGEST_STEP, 1e4, 0.0),
-        },
-    )
-    H = np.zeros((count, 3, 10))
-    H[:, 0, V] = H[:, 0, SPEED_ERROR] = 1.0
-    H[:, 1, HEIGHT] = H[:, 1, HEIGHT_ERROR] = 1.0
-    H[:, 2, CLIMB], H[:, 2, SLOPE] = 1.0, fixes.speed
+    Q = np.empty((11, count))
+    Q[V] = shaken + (noise.relative * change) ** 2 + lost
+    Q[CLIMB] = shaken + lost
+    Q[SLOPE] = slope - (ss * slope * ss + sc * curve * sc)
+    Q[CURVE] = curve - (cs * slope * cs + cc * curve * cc)
+    # Over a long gap the vehicle may have got anywhere, by a ramp, a train, or a reset of the receiver.
+    Q[HEIGHT] = (0.02 * d) ** 2 * steps.broken + np.where(elapsed > LONGEST_STEP, 1e4, 0.0)
+    Q[SPEED_ERROR] = speed_fresh * noise.speed_slow**2
+    Q[HEIGHT_ERROR] = height_fresh * noise.height_slow**2
+    Q[TILT] = (1.0 - along**2) * noise.bank**2
+    Q[DRIFT_X] = Q[DRIFT_Z] = noise.drift**2 * elapsed
+    Q[10] = -(ss * slope * cs + sc * curve * cc)
+    share = np.ones((3, count))
+    share[2] = fixes.speed
     r = np.empty((count, 3))
     r[:, 0] = noise.speed_white**2
     r[:, 1] = np.where(np.isfinite(fixes.alt), noise.height_white**2, np.nan)
@@ -164,32 +151,30 @@ def pitch_system(
         0.0,
     ]
     P0 = np.diag(np.square(deviations))
-    return P0, Phi, Q, H, r
+    return P0, carry, Q, share, r
 
 
-def road_slope(record: Record, felt: Floats, *, fine: float = 2.0, coarse: float = 60.0) -> Floats:
+FINE = 2.0
+"""Half width of the mean that takes vibration from the slope, s."""
+
+
+def road_slope(record: Record, felt: Floats) -> Floats:
     """Slope at the ticks, good enough for its square.
 
     Parameters
     ----------
     record : Record
     felt : ndarray, shape (m,)
-        Longitudinal specific force less acceleration, over gravity.
-    fine, coarse : float
-        Half widths of the means, s: the force gives the waves between them, height the rest, because
-        a bias of the force times the slope would pass for pitch.
+        Longitudinal specific force less acceleration, over gravity.  It gives the waves between `FINE` and
+        `COARSE`, height the rest, because a bias of the force times the slope would pass for pitch.
 
     Returns
     -------
     ndarray, shape (m,)
         rad, uphill positive.
     """
-    fixes = record.fixes
-    waves = smoothed(record, felt, fine)
-    way = np.cumsum(fixes.speed * np.diff(fixes.t, prepend=fixes.t[0]))
-    pace = gps_rate(fixes.t, way, coarse)
-    rise = np.where(pace > 2.0, gps_rate(fixes.t, fixes.alt, coarse) / np.maximum(pace, 2.0), 0.0)
-    return waves - smoothed(record, waves, coarse) + np.interp(record.t, fixes.t, rise)
+    waves = smoothed(record, felt, FINE)
+    return waves - smoothed(record, waves, COARSE) + np.interp(record.t, record.fixes.t, record.fixes.rise)
 
 
 class Along(NamedTuple):
@@ -200,66 +185,67 @@ class Along(NamedTuple):
     """Turn rate at the fixes, rad/s, shape (n,)."""
     total: Floats
     """Specific force and its companions integrated over each step, shape (n, 9)."""
+    grain: Floats
+    """Variance of sensor noise in the force over each step, (m/s)², shape (n,)."""
 
 
-def along_of(record: Record, R_va: Floats, lag: float) -> Along:
+def along_of(record: Record, lag: float, frame: Frame) -> Along:
     """The part of `pitch_plane` that does not depend on the noise levels.
 
     Parameters
     ----------
     record : Record
-    R_va : ndarray, shape (3, 3)
-        Present estimate.
     lag : float
         Present estimate of the lag of GPS speed, s.
+    frame : Frame
+        The ticks at that lag, in the V axes of the present estimate.
 
     Returns
     -------
     Along
     """
     steps = steps_of(record, lag)
-    frame = turned(record, R_va, lag)
-    fixes = record.fixes
-    acceleration = gps_rate(fixes.t, fixes.speed)
-    pushed = np.interp(record.t + lag, fixes.t, acceleration)
-    quadratic = np.column_stack([pushed**2, frame.lateral**2, pushed * np.abs(pushed)]) / GRAVITY
+    pushed = np.interp(record.t + lag, record.fixes.t, record.fixes.acceleration)
     slope = road_slope(record, (frame.f[:, 0] - pushed) / GRAVITY)
-    felt = np.column_stack([frame.f, quadratic, frame.w**2, 0.5 * GRAVITY * slope**2, record.density])
-    total = per_step(at(record, steps.when, integrate(record, felt)), steps.broken)
-    return Along(steps, at(record, steps.when, frame.w), total)
+    felt = [
+        *frame.f.T,
+        pushed**2 / GRAVITY,
+        frame.lateral**2 / GRAVITY,
+        pushed * np.abs(pushed) / GRAVITY,
+        frame.w**2,
+        0.5 * GRAVITY * slope**2,
+        record.density,
+    ]
+    total = gained(record, steps, felt)
+    return Along(steps, at(record, steps.when, frame.w), total, total[:, 8] * rough_share(steps.dt))
 
 
-def pitch_plane(record: Record, R_va: Floats, lag: float, noise: Noise, along: Along | None = None) -> Channel:
+def pitch_plane(record: Record, along: Along, noise: Noise) -> Channel:
     """Speed, climb and height against longitudinal and vertical specific force.
 
     Parameters
     ----------
     record : Record
-    R_va : ndarray, shape (3, 3)
-        Present estimate; the unknown turn is a small rotation about its V axes.
-    lag : float
-        Present estimate of the lag of GPS speed, s.
+    along : Along
+        What the ticks say at the present estimate; the unknown turn is a small rotation about its V axes.
     noise : Noise
-    along : Along, optional
-        `along_of` of the same record, mounting and lag, where it is known already.
 
     Returns
     -------
     Channel
         Measurements: GPS speed, GPS height, and "climb is speed times slope".
     """
-    steps, w, total = along or along_of(record, R_va, lag)
-    c = 1 + UNKNOWNS
+    steps, w, total, rough = along
     fixes = record.fixes
-    U = np.zeros((2, c, steps.when.size)).transpose(2, 0, 1)  # filled column by column
     keep = 1.0 - noise.pitch_gain[0]
+    change = clear_part(fixes.acceleration, noise.speed_white)
+    U = np.zeros((steps.when.size, 2, 1 + PITCH_UNKNOWNS.size))
     U[:, 0, 0] = keep * total[:, 0] + noise.lever[0] * total[:, 6]
-    U[:, 0, 1 + 1], U[:, 0, 1 + 2] = keep * total[:, 2], -keep * total[:, 1]
-    U[:, 0, 1 + 3] = -steps.dt
-    change = clear_rate(fixes.t, fixes.speed, noise.speed_white)
-    U[:, 0, 1 + PITCH_GAIN] = -change * steps.dt
-    U[:, 0, 1 + UNLIKE_GAIN] = -np.abs(change) * steps.dt
-    U[:, 0, 1 + LEVER_X] = total[:, 6]
+    U[:, 0, _COLUMN[1]], U[:, 0, _COLUMN[2]] = keep * total[:, 2], -keep * total[:, 1]
+    U[:, 0, _COLUMN[3]] = -steps.dt
+    U[:, 0, _COLUMN[PITCH_GAIN]] = -change * steps.dt
+    U[:, 0, _COLUMN[UNLIKE_GAIN]] = -np.abs(change) * steps.dt
+    U[:, 0, _COLUMN[LEVER_X]] = total[:, 6]
     U[:, 1, 0] = (
         total[:, 2]
         + GRAVITY * steps.dt
@@ -267,19 +253,31 @@ def pitch_plane(record: Record, R_va: Floats, lag: float, noise: Noise, along: A
         - noise.roll_gain[0] * total[:, 4]
         - total[:, 7]
     )
-    U[:, 1, 1 + 0], U[:, 1, 1 + 1] = total[:, 1], -total[:, 0]
-    U[:, 1, 1 + 5] = -steps.dt
-    U[:, 1, 1 + PITCH_GAIN], U[:, 1, 1 + ROLL_GAIN] = -total[:, 3], -total[:, 4]
-    U[:, 1, 1 + UNLIKE_GAIN] = -total[:, 5]
-    P0, Phi, Q, H, r = pitch_system(record, steps, noise, total[:, 0], total[:, 1], total[:, 8])
-    Y = np.zeros((3, c, steps.when.size)).transpose(2, 0, 1)
+    U[:, 1, _COLUMN[0]], U[:, 1, _COLUMN[1]] = total[:, 1], -total[:, 0]
+    U[:, 1, _COLUMN[5]] = -steps.dt
+    U[:, 1, _COLUMN[PITCH_GAIN]], U[:, 1, _COLUMN[ROLL_GAIN]] = -total[:, 3], -total[:, 4]
+    U[:, 1, _COLUMN[UNLIKE_GAIN]] = -total[:, 5]
+    P0, carry, Q, share, r = pitch_system(record, steps, noise, total[:, 0], total[:, 1], total[:, 8])
+    Y = np.zeros((steps.when.size, 3, 1 + PITCH_UNKNOWNS.size))
     Y[:, 0, 0], Y[:, 1, 0] = fixes.speed, np.nan_to_num(fixes.alt)
-    Y[:, 0, 1 + SPEED_LAG] = change
-    Y[:, 0, 1 + ANTENNA_Y] = w
+    Y[:, 0, _COLUMN[SPEED_LAG]] = change
+    Y[:, 0, _COLUMN[ANTENNA_Y]] = w
     x0 = np.zeros(10)
     x0[V] = fixes.speed[0]
     x0[HEIGHT] = Y[0, 1, 0]
-    columns = np.concatenate([[0], 1 + PITCH_UNKNOWNS])
-    grain = np.repeat((total[:, 8] * rough_share(steps.dt))[:, None], 2, axis=1)
-    inputs, values = U[:, :, columns], Y[:, :, columns]
-    return Channel(x0, P0, Phi, Q, np.array([V, CLIMB]), inputs, grain, H, values, r, np.zeros(3), PITCH_UNKNOWNS)
+    grain = np.repeat(rough[:, None], 2, axis=1)
+    return Channel(
+        x0,
+        P0,
+        carry,
+        Q,
+        np.array([V, CLIMB]),
+        U,
+        grain,
+        PITCH_OBSERVED,
+        share,
+        Y,
+        r,
+        np.zeros(3),
+        PITCH_UNKNOWNS,
+    )

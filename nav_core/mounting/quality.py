@@ -11,7 +11,7 @@ from nav_core.mounting.confidence import CONVERGED, Confidence
 from nav_core.mounting.reasons import reason
 from nav_core.mounting.refine import BLOCK, Fit
 from nav_core.mounting.slip import by_stretch
-from nav_core.mounting.stretch import FOLLOW_SPEED, Record, gps_rate, unrolled
+from nav_core.mounting.stretch import FOLLOW_SPEED, Record
 from nav_core.records import MountingStatus, Reason
 from nav_core.typing import Floats
 
@@ -96,8 +96,8 @@ def excitation(record: Record) -> Excitation:
         return Excitation(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     span = np.minimum(np.diff(fixes.t, prepend=fixes.t[0]), 2.0)
     moving = fixes.speed > FOLLOW_SPEED
-    a = gps_rate(fixes.t, fixes.speed)
-    w = gps_rate(fixes.t, unrolled(fixes.course)) * moving
+    a = fixes.acceleration
+    w = fixes.turn_rate * moving
     return Excitation(
         moving=float(span[moving].sum()),
         followed=float(span[moving & np.isfinite(fixes.course)].sum()),

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from nav_core.mounting.closed_form import Start
 from nav_core.mounting.echo import echo
-from nav_core.mounting.model import BIAS, COURSE_LAG, MILLI_G, SPEED_LAG, TURN, UNKNOWNS, Noise, prior
-from nav_core.mounting.pitch_plane import pitch_plane
+from nav_core.mounting.model import BIAS, COURSE_LAG, MILLI_G, SPEED_LAG, TURN, UNKNOWNS, Noise, prior, turned
+from nav_core.mounting.pitch_plane import Along, along_of, pitch_plane
 from nav_core.mounting.stretch import Record, blocks_of
 from nav_core.mounting.whitening import Channel, Evidence, whiten
-from nav_core.mounting.yaw_plane import yaw_plane
+from nav_core.mounting.yaw_plane import Across, across_of, yaw_plane
 from nav_core.typing import Floats
 
 BLOCK = 5.0
@@ -25,6 +26,33 @@ HUBER = 3.0
 MAX_LAG = 2.5
 _PASSES = 8
 _MAX_TURN = 0.4
+
+
+class View(NamedTuple):
+    """What the ticks of a record say at one mounting and one pair of lags, whatever the noise levels."""
+
+    along: Along
+    across: Across
+
+
+def view_of(record: Record, R_va: Floats, lags: tuple[float, float]) -> View:
+    """A record seen with a mounting.
+
+    Parameters
+    ----------
+    record : Record
+        Ticks, A-frame, and fixes.
+    R_va : ndarray, shape (3, 3)
+        From A to V.
+    lags : tuple of float
+        Of GPS speed and course, s.
+
+    Returns
+    -------
+    View
+    """
+    frame = turned(record, R_va, lags[0])
+    return View(along_of(record, lags[0], frame), across_of(record, lags[1], frame))
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +78,8 @@ class Fit:
         Prior information times prior mean.
     begin : float
         Box time at which the first stretch begins, s.
+    view : View
+        The record as it looks from the solution.
     """
 
     R_va: Floats
@@ -63,6 +93,7 @@ class Fit:
     prior: Floats
     prior_pull: Floats
     begin: float
+    view: View
 
     def solve(self, gram: Floats) -> tuple[Floats, Floats]:
         """Unknowns and covariance from some of the evidence, shapes (..., 14) and (..., 14, 14).
@@ -86,26 +117,15 @@ class Fit:
         return solution, covariance
 
 
-def weigh(
-    record: Record,
-    R_va: Floats,
-    lags: tuple[float, float],
-    noise: Noise,
-    p: Floats,
-    limit: float,
-    *,
-    restart: bool = False,
-) -> Evidence:
+def weigh(record: Record, view: View, noise: Noise, p: Floats, limit: float, *, restart: bool = False) -> Evidence:
     """Evidence of both planes at a mounting, the four kinds of measurement side by side; see `whiten`.
 
     Parameters
     ----------
     record : Record
         Ticks, A-frame, and fixes.
-    R_va : ndarray, shape (3, 3)
-        From A to V.
-    lags : tuple of float
-        Of GPS speed and course, s.
+    view : View
+        Of the record, at the mounting.
     noise : Noise
         What to expect.
     p : ndarray, shape (14,)
@@ -120,11 +140,11 @@ def weigh(
     Evidence
         By stretches of `BLOCK` seconds; k = 4: speed, height, climb, course.
     """
-    return _weighed(record, _planes(record, R_va, lags, noise), p, limit, restart=restart)
+    return _weighed(record, _planes(record, view, noise), p, limit, restart=restart)
 
 
-def _planes(record: Record, R_va: Floats, lags: tuple[float, float], noise: Noise) -> tuple[Channel, Channel]:
-    return pitch_plane(record, R_va, lags[0], noise), yaw_plane(record, R_va, lags, noise)
+def _planes(record: Record, view: View, noise: Noise) -> tuple[Channel, Channel]:
+    return pitch_plane(record, view.along, noise), yaw_plane(record, view.across, noise)
 
 
 def _weighed(
@@ -223,7 +243,8 @@ def refine(record: Record, start: Start, noise: Noise, p: Floats | None = None) 
     at[TURN] = at[[SPEED_LAG, COURSE_LAG]] = 0.0
     number = 0
     while True:
-        planes = _planes(record, R_va, lags, noise)
+        view = view_of(record, R_va, lags)
+        planes = _planes(record, view, noise)
         evidence = _weighed(record, planes, at, HUBER if number or p is not None else np.inf)
         gram = evidence.gram.sum((0, 1))
         suited = likely_bias(noise, gram, lags)
@@ -251,4 +272,5 @@ def refine(record: Record, start: Start, noise: Noise, p: Floats | None = None) 
         prior=diagonal,
         prior_pull=diagonal * mean,
         begin=float(record.fixes.t[0]),
+        view=view,
     )

@@ -71,7 +71,7 @@ def self_test(record: Record, fit: Fit) -> SelfTest | None:
     if stretch is None:
         return None
     first, last = stretch
-    plane = pitch_plane(record, fit.R_va, fit.speed_lag, fit.noise)
+    plane = pitch_plane(record, fit.view.along, fit.noise)
     p = fit.p[plane.unknowns]
     U = np.zeros((last + 1, plane.U.shape[1], 2))
     Y = np.zeros((last + 1, plane.Y.shape[1], 2))
@@ -82,8 +82,9 @@ def self_test(record: Record, fit: Fit) -> SelfTest | None:
     r[first + 1 : last, 0] = np.nan
     block = np.zeros(last + 1, dtype=np.int64)
     block[last] = 1
+    part = slice(last + 1)
     withheld = plane._replace(
-        Phi=plane.Phi[: last + 1], Q=plane.Q[: last + 1], U=U, H=plane.H[: last + 1], Y=Y, r=r, unknowns=np.arange(1)
+        carry=plane.carry[:, part], Q=plane.Q[:, part], U=U, share=plane.share[:, part], Y=Y, r=r, unknowns=np.arange(1)
     )
     gram = whiten(withheld, block, 2, np.zeros(1)).gram[1, 0]
     drift, sigma = -float(gram[0, 1] / gram[1, 1]), float(1.0 / np.sqrt(gram[1, 1]))

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from nav_core.mounting.model import Noise, turned
-from nav_core.mounting.refine import HUBER, Fit, weigh
+from nav_core.mounting.refine import HUBER, Fit, view_of, weigh
 from nav_core.mounting.stretch import Record, at, smoothed
 from nav_core.typing import Floats
 
@@ -130,7 +130,10 @@ def smoothing_time(record: Record, fit: Fit, noise: Noise, present: float = 0.0)
     def cost(time: float, seen: Record | None = None) -> float:
         lags = max(late[0] - time, 0.0), max(late[1] - time, 0.0)
         seen = seen or as_received(record, time, fit.R_va, lags[0])
-        evidence = weigh(seen, fit.R_va, lags, noise, fit.p, HUBER)
+        # What is tried with is what the fit is of, seen from there already, unless it is another record.
+        same = seen is record and present == 0.0
+        view = fit.view if same else view_of(seen, fit.R_va, lags)
+        evidence = weigh(seen, view, noise, fit.p, HUBER)
         # Not by the climb: any low-pass takes heave and vibration away.
         return float((evidence.misfit(fit.p) + evidence.log_det)[:, [SPEED, COURSE]].sum())
 

@@ -52,7 +52,7 @@ def solve(record: Record, noise: Noise) -> Solution:
     part = excerpt(record, EXCERPT)
     first = start(part, noise)
     rough = refine(part, first, noise)
-    suited = adapted(part, rough.R_va, (rough.speed_lag, rough.course_lag), noise, rough.p, HUBER)
+    suited = adapted(part, rough.view, noise, rough.p, HUBER)
     if part is record and suited == noise:
         return Solution(first, rough, rough, record, 0.0)
     return Solution(first, rough, refine(record, _near(first, rough), suited, rough.p), record, 0.0)
@@ -88,7 +88,7 @@ def matched(solution: Solution, noise: Noise) -> Solution:
         rough, smoothing = refine(seen, better, noise, rough.p), time
     if smoothing == 0.0:
         return solution
-    suited = adapted(seen, rough.R_va, (rough.speed_lag, rough.course_lag), noise, rough.p, HUBER)
+    suited = adapted(seen, rough.view, noise, rough.p, HUBER)
     first = start(seen, noise)
     whole = as_received(record, smoothing, rough.R_va, rough.speed_lag)
     return Solution(first, rough, refine(whole, _near(first, rough), suited, rough.p), whole, smoothing)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -10,7 +12,7 @@ from scipy.special import erf
 from nav_core.records import Gnss
 from nav_core.signal import KERNEL_TICKS, Ticks, first_not_before
 from nav_core.timebase import stale
-from nav_core.typing import Flags, Floats, Integers
+from nav_core.typing import Flags, Floats, Integers, kernel
 
 FOLLOW_SPEED = 2.0
 """Course is used above this speed, m/s."""
@@ -23,9 +25,7 @@ class Span(NamedTuple):
     end: float
 
 
-class Fixes(NamedTuple):
-    """Usable fixes of a drive: repeats and crowding removed."""
-
+class _Columns(NamedTuple):
     t: Floats
     """Box time of arrival, s, shape (n,)."""
     speed: Floats
@@ -34,6 +34,33 @@ class Fixes(NamedTuple):
     alt: Floats
     """m, NaN where unknown."""
 
+
+class Fixes(_Columns):
+    """Usable fixes of a drive: repeats and crowding removed.
+
+    What follows from them alone is worked out once, however often a record is evaluated.
+    """
+
+    @cached_property
+    def acceleration(self) -> Floats:
+        """Rate of change of the speed, m/s², shape (n,)."""
+        return gps_rate(self.t, self.speed)
+
+    @cached_property
+    def turn_rate(self) -> Floats:
+        """Rate of change of the course, rad/s, shape (n,)."""
+        return gps_rate(self.t, unrolled(self.course))
+
+    @cached_property
+    def rise(self) -> Floats:
+        """Slope of the road by height over a minute or two, rad, uphill positive, shape (n,)."""
+        way = np.cumsum(self.speed * np.diff(self.t, prepend=self.t[0]))
+        pace = gps_rate(self.t, way, COARSE)
+        return np.where(pace > 2.0, gps_rate(self.t, self.alt, COARSE) / np.maximum(pace, 2.0), 0.0)
+
+
+COARSE = 60.0
+"""Half width of the means that divide a road's slope between force and height, s."""
 
 SPACING = 0.18
 LONG = 1200.0
@@ -180,9 +207,46 @@ def smoothed(record: Record, values: Floats, reach: float) -> Floats:
     ndarray, shape (m,)
         In that unit.
     """
+    out = np.empty(values.size)
+    _mean_around(np.ascontiguousarray(record.t), np.ascontiguousarray(values), reach, out)
+    return out
+
+
+@kernel
+def _mean_around(t: Floats, values: Floats, reach: float, out: Floats) -> None:
+    n, first, last = t.size, 0, 0
+    total = np.empty(n + 1)
+    total[0] = 0.0
+    for i in range(n):
+        total[i + 1] = total[i] + values[i]
+    for i in range(n):
+        while t[first] < t[i] - reach:
+            first += 1
+        while last < n and t[last] <= t[i] + reach:
+            last += 1
+        out[i] = (total[last] - total[first]) / (last - first)
+
+
+def smoothed_reference(record: Record, values: Floats, reach: float) -> Floats:
+    """What `smoothed` computes, in plain array code.
+
+    Parameters
+    ----------
+    record : Record
+        m ticks.
+    values : ndarray, shape (m,)
+        In any unit.
+    reach : float
+        s.
+
+    Returns
+    -------
+    ndarray, shape (m,)
+        In that unit.
+    """
     total = np.concatenate([[0.0], np.cumsum(values)])
-    first = first_not_before(record.t, record.t - reach)
-    last = first_not_before(record.t, np.nextafter(record.t + reach, np.inf))
+    first = np.searchsorted(record.t, record.t - reach)
+    last = np.searchsorted(record.t, record.t + reach, side="right")
     return (total[last] - total[first]) / (last - first)
 
 
@@ -253,6 +317,69 @@ def steps_of(record: Record, lag: float) -> Steps:
     return Steps(when, covered, 0.5 * (speed + before) * elapsed, broken)
 
 
+def gained(record: Record, steps: Steps, columns: Sequence[Floats]) -> Floats:
+    """What running integrals of tick values (`integrate`) gain over each step.
+
+    Parameters
+    ----------
+    record : Record
+        m ticks, n fixes.
+    steps : Steps
+        n of them.
+    columns : sequence of ndarray, shape (m,)
+        k of them, each in any unit.
+
+    Returns
+    -------
+    ndarray, shape (n, k)
+        That unit times s; 0 where the step is broken.
+    """
+    out = np.zeros((steps.when.size, len(columns)))
+    if record.t.size > 1:
+        _gain(record.t, record.step, np.stack(columns), steps.when, steps.broken, out)
+    return out
+
+
+@kernel
+def _gain(t: Floats, step: Floats, columns: Floats, when: Floats, broken: Flags, out: Floats) -> None:
+    """One walk along ticks and steps for each column; between ticks the integral is taken as straight."""
+    for c in range(columns.shape[0]):
+        values = columns[c]
+        right, before, now, last = 0, 0.0, 0.0, 0.0
+        for i in range(when.size):
+            while right < t.size - 1 and (right == 0 or t[right] < when[i]):
+                right += 1
+                before = now
+                now += 0.5 * step[right] * (values[right] + values[right - 1])
+            share = (when[i] - t[right - 1]) / max(t[right] - t[right - 1], 1e-9)
+            there = before + min(max(share, 0.0), 1.0) * (now - before)
+            out[i, c] = 0.0 if broken[i] or i == 0 else there - last
+            last = there
+
+
+def gained_reference(record: Record, steps: Steps, columns: Sequence[Floats]) -> Floats:
+    """What `gained` computes, in plain array code.
+
+    Parameters
+    ----------
+    record : Record
+        m ticks, n fixes.
+    steps : Steps
+        n of them.
+    columns : sequence of ndarray, shape (m,)
+        k of them, each in any unit.
+
+    Returns
+    -------
+    ndarray, shape (n, k)
+        That unit times s; 0 where the step is broken.
+    """
+    total = at(record, steps.when, integrate(record, np.column_stack(columns)))
+    out = np.diff(total, axis=0, prepend=total[:1])
+    out[steps.broken] = 0.0
+    return out
+
+
 def gps_rate(t: Floats, values: Floats, reach: float = 1.0) -> Floats:
     """Rate of change of what the receiver says, over `reach` seconds either side, shape (n,).
 
@@ -287,7 +414,7 @@ def followed(fixes: Fixes, when: Floats, longest: float) -> Flags:
     fixes : Fixes
         n of them.
     when : ndarray, shape (m,)
-        Box clock of the fixes, s.
+        Box clock of the fixes, not decreasing, s.
     longest : float
         How long before or after, s.
 
@@ -296,13 +423,13 @@ def followed(fixes: Fixes, when: Floats, longest: float) -> Flags:
     ndarray of bool, shape (m,)
     """
     known = np.concatenate([[-np.inf], fixes.t[np.isfinite(fixes.course)], [np.inf]])
-    after = np.searchsorted(known, when)
+    after = first_not_before(known, when)
     near: Flags = np.minimum(when - known[after - 1], known[after] - when) <= longest
     return near
 
 
-def clear_rate(t: Floats, values: Floats, noise: Floats | float) -> Floats:
-    """Rate of change where it stands out of the receiver's `noise` (1 sigma), else nothing, shape (n,).
+def clear_part(rate: Floats, noise: Floats | float) -> Floats:
+    """A rate of change (`gps_rate`) where it stands out of the receiver's `noise` (1 sigma), else nothing, shape (n,).
 
     The derivatives to lags and suspension gains are taken from this.  The accelerometer would not
     do: it feels slope and bank as well, and a highway has more of those than of acceleration.  Nor
@@ -310,19 +437,16 @@ def clear_rate(t: Floats, values: Floats, noise: Floats | float) -> Floats:
 
     Parameters
     ----------
-    t : ndarray, shape (n,)
-        Box clock, s.
-    values : ndarray, shape (n,)
-        In any unit; NaN where unknown.
+    rate : ndarray, shape (n,)
+        In any unit per s.
     noise : ndarray or float, shape (n,)
-        In that unit; one number for all fixes will do.
+        Of what changes, in that unit; one number for all fixes will do.
 
     Returns
     -------
     ndarray, shape (n,)
         That unit per s.
     """
-    rate = gps_rate(t, values)
     doubt = 2.0 * noise / np.sqrt(2.0)
     return rate * np.clip(1.0 - (doubt / np.maximum(np.abs(rate), 1e-9)) ** 2, 0.0, 1.0)
 

@@ -388,6 +388,6 @@ def handedness(record: Record, solution: Solution, noise: Noise) -> float:
 
 def _cost(record: Record, fit: Fit, noise: Noise) -> float:
     """Minus twice the log likelihood of a record at a fit, up to a constant."""
-    evidence = weigh(record, fit.R_va, (fit.speed_lag, fit.course_lag), noise, fit.p, HUBER)
+    evidence = weigh(record, fit.view, noise, fit.p, HUBER)
     known = float(fit.p @ (fit.prior * fit.p - 2.0 * fit.prior_pull))
     return float((evidence.misfit(fit.p) + evidence.log_det).sum()) + known

@@ -17,6 +17,16 @@ from typing import NamedTuple
 
 import numpy as np
 
+from nav_core.mounting.planes import (
+    PITCH_CURVED,
+    PITCH_STATES,
+    Sizes,
+    carried,
+    padded,
+    seen,
+    taken_in,
+    transitions,
+)
 from nav_core.typing import Floats, Integers, kernel
 
 
@@ -25,24 +35,27 @@ class Channel(NamedTuple):
 
     With `n` states, `d` driven states, `k` scalar measurements, ``c = 1 + unknowns`` and `N` steps;
     column 0 is the value at ``p = 0``, column `j` the derivative with respect to unknown `j`.
+    The number of states says which plane it is, and so what `carry` means.
     """
 
     x0: Floats
     """Initial state, shape (n,)."""
     P0: Floats
     """Its covariance, shape (n, n)."""
-    Phi: Floats
-    """Transition into each step, shape (N, n, n)."""
+    carry: Floats
+    """Coefficients of the transition into each step, see `planes`, shape (K, N)."""
     Q: Floats
-    """Process noise, shape (N, n, n)."""
+    """Process noise: variances, and the covariance of slope and curvature if there are any, shape (n or n + 1, N)."""
     driven: Integers
     """States that have an input, shape (d,)."""
     U: Floats
     """Inputs, shape (N, d, c)."""
     grain: Floats
     """Variance of sensor noise in the inputs, part of Q, shape (N, d)."""
-    H: Floats
-    """Measurement rows, shape (N, k, n)."""
+    observed: Integers
+    """Each measurement is of one state and a share of another: which two, shape (k, 2)."""
+    share: Floats
+    """Of the other, shape (k, N)."""
     Y: Floats
     """Column 0: measured value; column j: derivative of ``-prediction``, without the state's; (N, k, c)."""
     r: Floats
@@ -80,146 +93,16 @@ class Evidence(NamedTuple):
         return self.gram @ e @ e
 
 
-Sizes = tuple[float, ...]
-"""A vector as a tuple: its length is part of its type, so kernels are compiled for it and their loops unrolled."""
-
-
-@kernel
-def _lay(places: Integers, values: Floats, out: Floats) -> None:
-    for i in range(out.shape[0]):
-        for e in range(places.shape[0]):
-            out[i, places[e, 0], places[e, 1]] = values[e, i]
-
-
-def matrices(count: int, size: int, entries: dict[tuple[int, int], Floats | float]) -> Floats:
-    """A matrix for each step, zero but for some entries; written step by step, as the filter reads it.
-
-    Parameters
-    ----------
-    count, size : int
-        Of steps; of rows and columns.
-    entries : dict of (int, int) to ndarray, shape (count,), or float
-        By row and column.
-
-    Returns
-    -------
-    ndarray, shape (count, size, size)
-    """
-    out = np.zeros((count, size, size))
-    values = np.empty((len(entries), count))
-    for e, value in enumerate(entries.values()):
-        values[e] = value
-    _lay(np.array(list(entries)), values, out)
-    return out
-
-
-@kernel
-def predict(  # noqa: C901, PLR0912  unrolled products that skip zeros
-    Phi: Floats, Q: Floats, X: Floats, P: Floats, carried: Floats, half: Floats, x0: Sizes, weights: Sizes
-) -> None:
-    """``X <- Phi X``, ``P <- Phi P Phi' + Q`` in place; most of Phi is zero.
-
-    Parameters
-    ----------
-    Phi, Q : ndarray, shape (n, n)
-        Transition of a step and its noise.
-    X : ndarray, shape (n, c)
-        States, and what each column of the unknowns does to them.
-    P : ndarray, shape (n, n)
-        Covariance.
-    carried : ndarray, shape (n, c)
-        Room for the product with X.
-    half : ndarray, shape (n, n)
-        Room for that with P.
-    x0 : tuple
-        n of anything: its length is known when the kernel is compiled.
-    weights : tuple
-        c of anything.
-    """
-    n, c = len(x0), len(weights)
-    for a in range(n):
-        for j in range(c):
-            carried[a, j] = 0.0
-        for j in range(n):
-            half[a, j] = 0.0
-        for b in range(n):
-            g = Phi[a, b]
-            if g != 0.0:
-                for j in range(c):
-                    carried[a, j] += g * X[b, j]
-                for j in range(n):
-                    half[a, j] += g * P[b, j]
-    for a in range(n):
-        for j in range(c):
-            X[a, j] = carried[a, j]
-        for j in range(n):
-            P[a, j] = Q[a, j]
-    for b in range(n):
-        for m in range(n):
-            g = Phi[b, m]
-            if g != 0.0:
-                for a in range(n):
-                    P[b, a] += half[a, m] * g  # symmetric: filled by rows
-
-
-@kernel
-def _correct(  # noqa: C901, PLR0912  unrolled products that skip zeros
-    h: Floats,
-    y: Floats,
-    r: float,
-    period: float,
-    x0: Sizes,
-    weights: Sizes,
-    limit: float,
-    X: Floats,
-    P: Floats,
-    e: Floats,
-    Ph: Floats,
-) -> float:
-    """One scalar measurement: fills the innovation `e`, updates X and P, gives the variance used."""
-    n, c = len(x0), len(weights)
-    for a in range(n):
-        Ph[a] = 0.0
-    for j in range(c):
-        e[j] = y[j]
-    for b in range(n):
-        g = h[b]
-        if g != 0.0:
-            for a in range(n):
-                Ph[a] += P[b, a] * g
-            for j in range(c):
-                e[j] -= g * X[b, j]
-    variance = r
-    for a in range(n):
-        variance += h[a] * Ph[a]
-    residual = e[0]
-    for j in range(1, c):
-        residual += e[j] * weights[j]
-    if period > 0.0:
-        turns = period * np.round(residual / period)
-        e[0] -= turns
-        residual -= turns
-    size = np.abs(residual) / np.sqrt(variance)
-    if size > limit:
-        variance *= size / limit  # Huber: the pull of an outlier stays that of one at the limit
-    for a in range(n):
-        gain = Ph[a] / variance
-        for j in range(c):
-            X[a, j] += gain * e[j]
-        for b in range(n):
-            P[a, b] -= gain * Ph[b]
-    return variance
-
-
 @kernel
 def _whiten(
     x0: Sizes,
     P0: Floats,
-    Phi: Floats,
+    carry: Floats,
     Q: Floats,
     driven: Integers,
     U: Floats,
-    H: Floats,
+    observed: Integers,
+    share: Floats,
     Y: Floats,
     r: Floats,
     period: Floats,
@@ -227,34 +110,64 @@ def _whiten(
     weights: Sizes,
     limit: float,
     restart: bool,
-    gram: Floats,
+    E: Floats,
     number: Floats,
     log_det: Floats,
 ) -> None:
-    steps, n, k, c = Phi.shape[0], len(x0), Y.shape[1], len(weights)
-    X, carried = np.zeros((n, c)), np.zeros((n, c))
-    P, half = np.zeros((n, n)), np.zeros((n, n))
-    e, Ph = np.zeros(c), np.zeros(n)
-    for i in range(steps):
-        z = block[i]
-        if i == 0 or (restart and z != block[i - 1]):
-            X[:, :] = 0.0
+    n, c, p = len(x0), len(weights), padded(len(x0))
+    w = p + padded(c)
+    z, t, gain = np.zeros(n * w), np.zeros(w), np.zeros(n)
+    for i in range(U.shape[0]):
+        if i == 0 or (restart and block[i] != block[i - 1]):
+            z[:] = 0.0
             for a in range(n):
-                X[a, 0] = x0[a]
-            P[:, :] = P0
-        predict(Phi[i], Q[i], X, P, carried, half, x0, weights)
+                z[a * w + p] = x0[a]
+                for b in range(n):
+                    z[a * w + b] = P0[a, b]
+        carried(z, x0, weights, carry, i, Q)
         for d in range(driven.size):
             for j in range(c):
-                X[driven[d], j] += U[i, d, j]
-        for m in range(k):
+                z[driven[d] * w + p + j] += U[i, d, j]
+        for m in range(observed.shape[0]):
             if np.isfinite(r[i, m]):
-                variance = _correct(H[i, m], Y[i, m], r[i, m], period[m], x0, weights, limit, X, P, e, Ph)
-                for a in range(c):
-                    scaled = e[a] / variance
-                    for j in range(a + 1):
-                        gram[z, m, a, j] += scaled * e[j]
-                number[z, m] += 1.0
-                log_det[z, m] += np.log(variance)
+                variance = seen(z, x0, weights, observed[m], share[m, i], r[i, m], t)
+                variance = _judged(t, p, Y[i, m], period[m], weights, variance, limit)
+                taken_in(z, x0, weights, t, variance, gain)
+                whole = 1.0 / np.sqrt(variance)
+                for j in range(c):
+                    E[m, i, j] = whole * t[p + j]
+                number[block[i], m] += 1.0
+                log_det[block[i], m] += np.log(variance)
+
+
+@kernel
+def _judged(t: Floats, p: int, y: Floats, period: float, weights: Sizes, variance: float, limit: float) -> float:
+    """Take what was measured from the prediction in `t`; gives the variance, larger for an outlier."""
+    residual = 0.0
+    for j in range(len(weights)):
+        t[p + j] -= y[j]
+        residual += t[p + j] * weights[j]
+    if period > 0.0:
+        turns = period * np.round(residual / period)
+        t[p] -= turns
+        residual -= turns
+    if residual * residual > limit * limit * variance:
+        variance *= np.abs(residual) / np.sqrt(variance) / limit  # Huber: an outlier pulls like one at the limit
+    return variance
+
+
+@kernel
+def _multiplied(E: Floats, block: Integers, gram: Floats) -> None:
+    """Add the products of whitened innovations to those of their stretches; steps of one stretch follow one another."""
+    begin = 0
+    while begin < block.size:
+        end = begin
+        while end < block.size and block[end] == block[begin]:
+            end += 1
+        for m in range(E.shape[0]):
+            part = E[m, begin:end]
+            gram[block[begin], m] += np.dot(part.T, part)
+        begin = end
 
 
 def whiten(
@@ -288,15 +201,17 @@ def whiten(
     """
     k, c = channel.Y.shape[1], channel.Y.shape[2]
     gram, number, log_det = np.zeros((blocks, k, c, c)), np.zeros((blocks, k)), np.zeros((blocks, k))
+    E = np.zeros((k, block.size, c))
     whole = np.ascontiguousarray  # one compiled form for every layout
     _whiten(
         tuple(channel.x0.tolist()),
         whole(channel.P0),
-        whole(channel.Phi),
+        whole(channel.carry),
         whole(channel.Q),
         whole(channel.driven),
         whole(channel.U),
-        whole(channel.H),
+        whole(channel.observed),
+        whole(channel.share),
         whole(channel.Y),
         whole(channel.r),
         whole(channel.period),
@@ -304,11 +219,11 @@ def whiten(
         (1.0, *p[channel.unknowns].tolist()),
         float(limit),
         restart,
-        gram,
+        E,
         number,
         log_det,
     )
-    gram += np.swapaxes(np.tril(gram, -1), -1, -2)
+    _multiplied(E, block, gram)
     return Evidence(_spread(gram, channel.unknowns, p.size), number, log_det)
 
 
@@ -328,7 +243,50 @@ def at_point(channel: Channel, p: Floats) -> Channel:
     """
     weights = np.concatenate([[1.0], p[channel.unknowns]])
     nothing = channel.unknowns[:0]
-    return channel._replace(U=(channel.U @ weights)[..., None], Y=(channel.Y @ weights)[..., None], unknowns=nothing)
+
+    def there(values: Floats) -> Floats:
+        return (values.reshape(-1, weights.size) @ weights).reshape(
+            *values.shape[:-1], 1
+        )  # one product, not a step each
+
+    return channel._replace(U=there(channel.U), Y=there(channel.Y), unknowns=nothing)
+
+
+def process_noise(channel: Channel) -> Floats:
+    """Matrices of a channel's process noise, as the reference and the tests need them.
+
+    Parameters
+    ----------
+    channel : Channel
+
+    Returns
+    -------
+    ndarray, shape (N, n, n)
+    """
+    n = channel.x0.size
+    out = np.zeros((channel.Q.shape[1], n, n))
+    out[:, np.arange(n), np.arange(n)] = channel.Q[:n].T
+    if n == PITCH_STATES:
+        a, b = PITCH_CURVED
+        out[:, a, b] = out[:, b, a] = channel.Q[n]
+    return out
+
+
+def measurements(channel: Channel) -> Floats:
+    """Measurement rows of a channel, as the reference and the tests need them.
+
+    Parameters
+    ----------
+    channel : Channel
+
+    Returns
+    -------
+    ndarray, shape (N, k, n)
+    """
+    out = np.zeros((channel.share.shape[1], len(channel.observed), channel.x0.size))
+    for m, (a, b) in enumerate(channel.observed.tolist()):
+        out[:, m, a], out[:, m, b] = 1.0, channel.share[m]
+    return out
 
 
 def whiten_reference(channel: Channel, block: Integers, blocks: int, p: Floats, *, limit: float = np.inf) -> Evidence:
@@ -354,16 +312,18 @@ def whiten_reference(channel: Channel, block: Integers, blocks: int, p: Floats, 
     """
     k, c = channel.Y.shape[1], channel.Y.shape[2]
     gram, number, log_det = np.zeros((blocks, k, c, c)), np.zeros((blocks, k)), np.zeros((blocks, k))
-    state = np.zeros((channel.x0.size, c))
+    states = channel.x0.size
+    Phi, Q, H = transitions(channel.carry, states), process_noise(channel), measurements(channel)
+    state = np.zeros((states, c))
     state[:, 0] = channel.x0
     covariance = channel.P0
     weights = np.concatenate([[1.0], p[channel.unknowns]])
     for i in range(block.size):
-        state = channel.Phi[i] @ state
+        state = Phi[i] @ state
         state[channel.driven] += channel.U[i]
-        covariance = channel.Phi[i] @ covariance @ channel.Phi[i].T + channel.Q[i]
+        covariance = Phi[i] @ covariance @ Phi[i].T + Q[i]
         for m in np.flatnonzero(np.isfinite(channel.r[i])):
-            h = channel.H[i, m]
+            h = H[i, m]
             e = channel.Y[i, m] - h @ state
             if channel.period[m] > 0.0:
                 e[0] -= channel.period[m] * np.round(e @ weights / channel.period[m])

@@ -35,6 +35,8 @@ from sqlalchemy import (
     union,
 )
 
+from server.database import insert_past_mapper
+
 Row = dict[str, Any]
 
 VERSION_TABLE = "alembic_version"
@@ -96,7 +98,11 @@ class ContentSum:
 def insert(connection: Connection, table: Table, found: Iterable[Row]) -> None:
     """Insert rows as `rows` gave them."""
     if connection.dialect.name == "postgresql":
-        _copy(connection, table, found)
+        insert_past_mapper(
+            connection,
+            table,
+            ([_to_postgres(column, row.get(column.name)) for column in table.columns] for row in found),
+        )
         return
     names = ", ".join(f'"{column.name}"' for column in table.columns)
     marks = ", ".join("?" for _ in table.columns)
@@ -105,14 +111,6 @@ def insert(connection: Connection, table: Table, found: Iterable[Row]) -> None:
     while page := list(islice(remaining, _AT_ONCE)):
         values = [tuple(_to_sqlite(column, row.get(column.name)) for column in table.columns) for row in page]
         connection.exec_driver_sql(statement, values)
-
-
-def _copy(connection: Connection, table: Table, found: Iterable[Row]) -> None:
-    names = ", ".join(f'"{column.name}"' for column in table.columns)
-    driver: Any = connection.connection.driver_connection  # psycopg's own connection
-    with driver.cursor() as cursor, cursor.copy(f'COPY "{table.name}" ({names}) FROM STDIN') as copy:
-        for row in found:
-            copy.write_row([_to_postgres(column, row.get(column.name)) for column in table.columns])
 
 
 def set_sequences(connection: Connection, table: Table) -> None:

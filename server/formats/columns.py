@@ -114,7 +114,7 @@ class Columns:
         digest = hashlib.sha256(_HASH_HEAD)
         for name, column in self.values.items():
             values = column.astype("<f8", copy=False)
-            missing = values.size - self.samples[name].size
+            missing = values.size - int(np.count_nonzero(self.sampled[name]))
             # Not-a-number has many bit patterns; one stands for all.
             if missing and np.count_nonzero(values.view("<u8") == _ONE_NAN) != missing:
                 values = np.where(self.sampled[name], values, _ONE_NAN.view("<f8"))

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from nav_core.records import Drive, Gnss, Inertial, Remark
+from nav_core.typing import Flags
 from server.errors import InvalidError
 from server.formats import codec8e, compact, mcap_log, nmea, phone_csv
 from server.formats.columns import NAMES, Columns, Floats, check_values
@@ -33,13 +34,15 @@ def to_drive(columns: Columns) -> Drive:
     """
     remarks = list(columns.remarks)
     sorted_values: Mapping[str, Floats] = columns.values
+    sampled: Mapping[str, Flags] = columns.sampled
     moved = int(np.count_nonzero(np.diff(columns.values["t"]) < 0.0))
     if moved:
         remarks.append(Remark("rows_out_of_order", f"Time went back {moved} times; the rows were sorted"))
         order = np.argsort(columns.values["t"], kind="stable")
         sorted_values = {name: values[order] for name, values in columns.values.items()}
-    inertial = _inertial(sorted_values, remarks)
-    gnss = _gnss(sorted_values, remarks)
+        sampled = {name: rows[order] for name, rows in sampled.items()}
+    inertial = _inertial(sorted_values, sampled, remarks)
+    gnss = _gnss(sorted_values, sampled, remarks)
     return Drive(inertial, gnss, tuple(remarks))
 
 
@@ -68,16 +71,14 @@ def _optional(values: Mapping[str, Floats], name: str, index: np.ndarray) -> Flo
     return None if np.isnan(column).all() else column
 
 
-def _inertial(values: Mapping[str, Floats], remarks: list[Remark]) -> Inertial:
-    nothing = np.full(values["t"].size, np.nan)
-    sampled = ~np.isnan(values.get("fx", nothing))
-    others = np.zeros_like(sampled)
-    for name in ("wx", "mx"):
-        others |= ~np.isnan(values.get(name, nothing))
-    alone = int(np.count_nonzero(others & ~sampled))
+def _inertial(values: Mapping[str, Floats], sampled: Mapping[str, Flags], remarks: list[Remark]) -> Inertial:
+    nothing = np.zeros(values["t"].size, dtype=np.bool_)
+    forces = sampled.get("fx", nothing)
+    others = sampled.get("wx", nothing) | sampled.get("mx", nothing)
+    alone = int(np.count_nonzero(others & ~forces))
     if alone:
         remarks.append(Remark("rows_without_force", f"{alone} rows have a rate or field but no force; not used"))
-    index = _kept("inertial", values, sampled, remarks)
+    index = _kept("inertial", values, forces, remarks)
     force = _stacked(values, _FORCE, index)
     return Inertial(
         t=values["t"][index],
@@ -88,12 +89,12 @@ def _inertial(values: Mapping[str, Floats], remarks: list[Remark]) -> Inertial:
     )
 
 
-def _gnss(values: Mapping[str, Floats], remarks: list[Remark]) -> Gnss:
+def _gnss(values: Mapping[str, Floats], sampled: Mapping[str, Flags], remarks: list[Remark]) -> Gnss:
     count = values["t"].size
     reported = np.zeros(count, dtype=np.bool_)
     for name in _FIX_COLUMNS:
         if name in values:
-            reported |= ~np.isnan(values[name])
+            reported |= sampled[name]
     index = _kept("gps", values, reported, remarks)
     nothing = np.full(index.size, np.nan)
     given = {name: values[name][index] if name in values else nothing for name in _FIX_COLUMNS}

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import datetime as dt
 from dataclasses import dataclass, field
 from typing import Any
 
 from server.diagnosis.service import Reading
 from server.models import AlertDelivery, BatchDigest, Installation, MountingRevision, Trip
 from server.models.base import Base
+
+TrackRow = tuple[str, float, dt.datetime, float, float, float | None, float | None, float | None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,8 +34,8 @@ class Results:
     """Messages that are owed for the alerts among `rows`."""
     readings: list[Reading] = field(default_factory=list[Reading])
     """What the batches say of the vehicle beside the streams."""
-    points: list[dict[str, Any]] = field(default_factory=list[dict[str, Any]])
-    """Columns of track points: too many for an object each."""
+    points: list[TrackRow] = field(default_factory=list[TrackRow])
+    """Values of track points in the order of their columns: too many for an object each."""
     replaced_trips: list[str] = field(default_factory=list[str])
     """Ids of trips to delete with their track, before the rows are written."""
     announcements: list[Announcement] = field(default_factory=list[Announcement])

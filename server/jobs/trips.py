@@ -5,10 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from server.jobs.mountings import vehicle_at
-from server.jobs.results import Results
+from server.jobs.results import Results, TrackRow
 from server.jobs.situation import Situation
 from server.jobs.stretch import Piece
 from server.models import Boot, Trip, new_id
@@ -140,14 +139,14 @@ def _overlap(old: Trip, totals: TripTotals) -> bool:
     return old.t_first_s <= totals.t_last and totals.t_first <= old.t_last_s
 
 
-def _track_point(trip_id: str, boot: Boot, point: Point) -> dict[str, Any]:
-    return {
-        "trip_id": trip_id,
-        "t_s": point.t,
-        "at": boot.utc(point.t),
-        "lat_deg": math.degrees(point.lat),
-        "lon_deg": math.degrees(point.lon),
-        "alt_m": point.alt,
-        "speed_mps": point.speed,
-        "course_rad": point.course,
-    }
+def _track_point(trip_id: str, boot: Boot, point: Point) -> TrackRow:
+    return (
+        trip_id,
+        point.t,
+        boot.utc(point.t),
+        math.degrees(point.lat),
+        math.degrees(point.lon),
+        point.alt,
+        point.speed,
+        point.course,
+    )

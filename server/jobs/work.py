@@ -15,14 +15,14 @@ from typing import Any, cast
 
 import numpy as np
 import structlog
-from sqlalchemy import Table, delete, insert, select
+from sqlalchemy import Table, delete, select
 from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
 from nav_core.crash import reconstruct_drive
 from nav_core.mounting.trips import told_of
 from nav_core.typing import Floats
-from server.database import Database
+from server.database import Database, insert_past_mapper
 from server.diagnosis.service import keep, of_columns
 from server.errors import ProblemError
 from server.formats.columns import Columns
@@ -401,7 +401,7 @@ class Round:
         keep(session, state.device_id, results.readings, now=self._now)
         if results.points:
             # Past the objects: there is a point a second.
-            session.connection().execute(insert(_POINTS), results.points)
+            insert_past_mapper(session.connection(), _POINTS, results.points)
         for announcement in results.announcements:
             announce(
                 session,

@@ -14,7 +14,9 @@ from nav_core.events.trigger import (
     _rest,
     groups,
     integrate,
+    off_rest,
     rest_reference,
+    sideways_within,
     stream_of,
     strongest_change,
     strongest_reference,
@@ -129,3 +131,10 @@ def test_integrals_and_groups():
     assert groups(flags, t, 0.25) == [(1, 2), (6, 8)]
     assert groups(np.zeros(11, dtype=bool), t, 0.25) == []
     assert stream_of(Inertial(np.zeros(0), np.zeros((0, 3))), np.eye(3)).t.size == 0
+
+
+def test_walks_along_the_samples_are_what_array_code_says():
+    stream = stream_of(recording(200.0, noise=0.5), np.eye(3))
+    np.testing.assert_array_equal(off_rest(stream), np.linalg.norm(stream.f - stream.rest, axis=1))
+    j = np.minimum(np.searchsorted(stream.t, stream.t + 0.1), stream.t.size - 1)
+    np.testing.assert_array_equal(sideways_within(stream, 0.1), stream.v[j, 1] - stream.v[:, 1])

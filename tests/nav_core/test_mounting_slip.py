@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from nav_core.mounting.model import TURN, UNKNOWNS, Noise
-from nav_core.mounting.refine import BLOCK, Fit
+from nav_core.mounting.refine import BLOCK, Fit, view_of
 from nav_core.mounting.slip import PARKED, steady_slip
+from nav_core.mounting.stretch import Fixes, Record
 
 BLOCKS = 180
 SIGMA = np.radians(1.0)
@@ -23,6 +24,8 @@ def _fit(turns: np.ndarray, driving: np.ndarray, seed: int) -> Fit:
             row = np.zeros(1 + UNKNOWNS)
             row[0], row[1 + axis] = -(turns[block] + SIGMA * rng.standard_normal()) / SIGMA, 1.0 / SIGMA
             gram[block] += np.outer(row, row)
+    three = np.arange(3.0)
+    standing = Record(three, np.zeros((3, 3)), three, Fixes(three, 0.0 * three, 0.0 * three, 0.0 * three), three)
     bare = Fit(
         R_va=np.eye(3),
         p=np.zeros(UNKNOWNS),
@@ -35,6 +38,7 @@ def _fit(turns: np.ndarray, driving: np.ndarray, seed: int) -> Fit:
         prior=np.where(np.arange(UNKNOWNS) < TURN.stop, 0.0, 1.0),
         prior_pull=np.zeros(UNKNOWNS),
         begin=0.0,
+        view=view_of(standing, np.eye(3), (0.0, 0.0)),
     )
     bare.p[:] = bare.solve(gram.sum(0))[0]
     return bare
