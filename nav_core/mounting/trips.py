@@ -12,6 +12,7 @@ from nav_core.mounting.fusion import TripEvidence, disagreement, joined, solved,
 from nav_core.mounting.model import Noise, less_crown
 from nav_core.mounting.moved import LEAST_ANGLE, SURE
 from nav_core.mounting.reasons import reason
+from nav_core.mounting.slip import steady_slip
 from nav_core.mounting.trouble import HANDED, MIRRORED
 from nav_core.mounting.whole_drive import analyse, refused
 from nav_core.records import Gnss, MountingChange, MountingEstimate
@@ -84,7 +85,9 @@ def told_of(ticks: Ticks, gnss: Gnss, past: TripEvidence | None, noise: Noise) -
         return Told(replace(estimate, changes=(change,)), own, 0.0)
     unlikely = max(1.0 - UNREMARKABLE / max(chi2, 1e-9), 0.0)
     share = FADED if chi2 > DOUBTFUL else 1.0
-    known = _of(estimate, joined([weakened(past, share), own]), noise, np.sqrt(unlikely) * apart)
+    # The sum stays where the box was on earlier trips; where it slips it has gone all of the way since.
+    apart = np.column_stack([np.sqrt(unlikely) * apart, np.diag(steady_slip(fit))])
+    known = _of(estimate, joined([weakened(past, share), own]), noise, apart)
     return Told(known if share == 1.0 else _doubted(known), own, share)
 
 
@@ -105,11 +108,11 @@ def _doubted(estimate: MountingEstimate) -> MountingEstimate:
 def _of(
     estimate: MountingEstimate, evidence: TripEvidence, noise: Noise, apart: Floats | None = None
 ) -> MountingEstimate:
-    """A trip's estimate with mounting, covariance and status those of the evidence; `apart` widens it."""
+    """A trip's estimate with mounting, covariance and status those of the evidence; columns of `apart` widen it."""
     R_va, covariance = solved(evidence, noise)
     covariance[0, 0] += noise.crown**2
     if apart is not None:
-        covariance = covariance + np.outer(apart, apart)
+        covariance = covariance + apart @ apart.T
     codes = {each.code for each in estimate.reasons}
     right_handed = evidence.handed >= HANDED or "handedness_trusted" in codes
     sure = right_handed and bool(np.sqrt(np.diag(covariance)).max() < CONVERGED)

@@ -10,7 +10,10 @@ from scipy.spatial.transform import Rotation
 
 from nav_core.mounting import estimate_mounting
 from nav_core.mounting.clocks import clock_jumps
+from nav_core.mounting.fusion import joined
+from nav_core.mounting.model import Noise
 from nav_core.mounting.reversing import reversals
+from nav_core.mounting.trips import told_of
 from nav_core.mounting.trouble import frozen, sampling_rate
 from nav_core.records import Drive, Gnss, Inertial, MountingEstimate
 from nav_core.rotation import angle_between, error_between
@@ -18,6 +21,7 @@ from nav_core.signal import decimate
 from nav_core.simulate import Move, Scenario, Truth, simulate
 from nav_core.simulate import faults as fault
 from nav_core.simulate.days import DECIMATED, day
+from nav_core.typing import Floats
 
 G = 9.80665
 INVERTED = -np.eye(3)
@@ -144,20 +148,38 @@ def test_a_loose_box_is_never_ready(route: str, loosen: object):
         assert found.reasons
 
 
-@pytest.mark.parametrize(("axis", "degrees"), [(0, 3.0), (0, 6.0), (2, 3.0)])
-def test_a_box_that_slips_slowly_is_named_and_in_the_sigma(axis: int, degrees: float):
-    """The estimate is that of the middle of the drive, the box has gone on."""
-    drive, truth = simulate(replace(DECIMATED, duration=900.0, gnss_rate=1.0), seed=40)
+def _slipping_drive(R_va: Floats | None, axis: int, degrees: float) -> tuple[Drive, Floats]:
+    """A quarter of an hour in town, the box turning steadily by so much, and the mounting at its end."""
+    drive, truth = simulate(replace(DECIMATED, R_va=R_va, duration=900.0, gnss_rate=1.0), seed=40)
     t = drive.inertial.t
     way = np.zeros((t.size, 3))
     way[:, axis] = np.radians(degrees) * t / t[-1]
     turns = Rotation.from_rotvec(way)
     slipped = turns.apply(drive.inertial.f @ truth.R_va.T) @ truth.R_va
-    found = estimate_mounting(replace(drive, inertial=Inertial(t=t, f=slipped)))
+    return replace(drive, inertial=Inertial(t=t, f=slipped)), turns[-1].inv().as_matrix() @ truth.R_va
+
+
+@pytest.mark.parametrize(("axis", "degrees"), [(0, 3.0), (0, 6.0), (2, 3.0)])
+def test_a_box_that_slips_slowly_is_named_and_in_the_sigma(axis: int, degrees: float):
+    """The estimate is that of the middle of the drive, the box has gone on."""
+    drive, at_the_end = _slipping_drive(None, axis, degrees)
+    found = estimate_mounting(drive)
     assert "slipping" in _codes(found)
     assert found.R_va is not None
     assert found.sigma is not None
-    at_the_end = turns[-1].inv().as_matrix() @ truth.R_va
+    assert np.all(np.abs(error_between(found.R_va, at_the_end)) < 2.0 * found.sigma)
+
+
+@pytest.mark.parametrize("axis", [0, 2])
+def test_a_box_that_slips_after_trips_in_which_it_sat_firmly_has_that_in_the_sigma_too(axis: int):
+    trip, truth = simulate(replace(DECIMATED, duration=600.0, gnss_rate=1.0), seed=41)
+    past = told_of(decimate(trip.inertial), trip.gnss, None, Noise()).own
+    assert past is not None
+    drive, at_the_end = _slipping_drive(truth.R_va, axis, 3.0)
+    found = told_of(decimate(drive.inertial), drive.gnss, joined([past, past]), Noise()).estimate
+    assert "slipping" in _codes(found)
+    assert found.R_va is not None
+    assert found.sigma is not None
     assert np.all(np.abs(error_between(found.R_va, at_the_end)) < 2.0 * found.sigma)
 
 
