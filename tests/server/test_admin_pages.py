@@ -279,7 +279,8 @@ def test_verdicts_come_as_a_file_with_the_detectors_figures(admin, tenants):
     for params, count in (({"from": at.isoformat()}, 1), ({"from": (at + day).isoformat()}, 0), ({"to": at}, 0)):
         assert len(admin.get("/api/v1/events/verdicts", params=params).json()["items"]) == count, params
     with tenants.database.reading() as session:
-        entries = session.scalars(sa.select(AuditEntry).where(AuditEntry.subject == "verdicts")).all()
+        verdicts = sa.select(AuditEntry).where(AuditEntry.subject == "verdicts").order_by(AuditEntry.id)
+        entries = session.scalars(verdicts).all()
     assert [entry.detail["events"] for entry in entries] == [0, 1, 1, 1, 0, 0]
 
 

@@ -51,7 +51,8 @@ def fresh(tmp_path, request):
 def upload(address: str, token: str, k: int) -> None:
     columns = {"t": [k + 0.0, k + 0.5], "fx": [0.1 * k, -0.0], "fy": [0, 0], "fz": [-9.8, -20.0]}
     headers = {"Authorization": f"Bearer {token}", "Idempotency-Key": f"boot/{k}"}
-    httpx.post(f"{address}/api/v1/batches", json={"columns": columns}, headers=headers).raise_for_status()
+    answer = httpx.post(f"{address}/api/v1/batches", json={"columns": columns}, headers=headers, timeout=60.0)
+    answer.raise_for_status()
 
 
 @pytest.fixture
