@@ -61,11 +61,12 @@ def make_engine(settings: Settings) -> Engine:
     dsn = settings.database_dsn
     if dsn.startswith("sqlite"):
         settings.data_dir.mkdir(mode=0o700, parents=True, exist_ok=True)
-        engine = create_engine(dsn, connect_args={"timeout": 30.0, "check_same_thread": False})
+        engine = create_engine(dsn, connect_args={"timeout": 30.0, "check_same_thread": False}, hide_parameters=True)
         event.listen(engine, "connect", _prepare_sqlite)
         event.listen(engine, "begin", _begin_sqlite)
         return engine
-    engine = create_engine(dsn, pool_size=10, max_overflow=10)
+    # Errors are logged with their statement: its values (hashes of tokens, places) are nobody's to read there.
+    engine = create_engine(dsn, pool_size=10, max_overflow=10, hide_parameters=True)
     event.listen(engine, "checkout", _ping_idle)
     event.listen(engine, "checkin", _note_use)
     return engine

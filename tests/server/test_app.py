@@ -11,6 +11,7 @@ import pytest
 import sqlalchemy as sa
 
 from server.app import MAX_JSON_BYTES, create_app
+from server.database import make_engine
 from server.headers import content_security_policy, tile_source
 from server.limits import TokenBuckets
 from server.settings import Settings
@@ -338,3 +339,12 @@ def test_a_nul_character_is_refused_wherever_it_stands(admin):
         assert "NUL" in answer.text
     assert answers[0].json()["code"] == answers[1].json()["code"] == answers[2].json()["code"] == "invalid"
     assert admin.post("/api/v1/vehicles", json={"name": "a", "plate": "u0000"}).status_code == 201
+
+
+@pytest.mark.both_databases
+def test_errors_of_the_database_do_not_tell_the_values_of_a_statement(settings):
+    engine = make_engine(settings)
+    with engine.connect() as connection, pytest.raises(sa.exc.DBAPIError) as raised:
+        connection.execute(sa.text("SELECT * FROM no_such_table WHERE token_hash = :digest"), {"digest": "d867fba8"})
+    engine.dispose()
+    assert "d867fba8" not in str(raised.value)
