@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from nav_core.errors import ShapeError
 from nav_core.mounting.again import without_own
-from nav_core.mounting.confidence import FLOOR, assess
+from nav_core.mounting.confidence import FLOOR, Confidence, assess
 from nav_core.mounting.model import COURSE_LAG, SPEED_LAG, TURN, UNKNOWNS, Noise, prior
 from nav_core.mounting.refine import BLOCK, Fit, likely_bias
 from nav_core.rotation import error_between
@@ -57,7 +57,7 @@ class TripEvidence:
                 raise ShapeError(name, getattr(self, name).shape, str(shape))
 
 
-def trip_evidence(fit: Fit, handed: float = 0.0) -> TripEvidence:
+def trip_evidence(fit: Fit, handed: float = 0.0, found: Confidence | None = None) -> TripEvidence:
     """What a fit of one trip has to say to others.
 
     Parameters
@@ -65,12 +65,14 @@ def trip_evidence(fit: Fit, handed: float = 0.0) -> TripEvidence:
     fit : Fit
     handed : float
         See `TripEvidence`.
+    found : Confidence, optional
+        In the fit, where that is known already.
 
     Returns
     -------
     TripEvidence
     """
-    found = assess(fit)
+    found = found or assess(fit)
     scale = np.ones(1 + UNKNOWNS)
     scale[1:4] = 1.0 / found.widening
     gram = fit.gram.sum(0) * np.outer(scale, scale)

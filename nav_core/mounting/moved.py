@@ -20,7 +20,7 @@ from nav_core.mounting.model import MILLI_G, TURN, Noise
 from nav_core.mounting.quality import excitation, fits_a_car
 from nav_core.mounting.refine import BLOCK, HUBER, Fit, view_of, weigh
 from nav_core.mounting.solution import Solution, between, matched, solve
-from nav_core.mounting.stretch import Record
+from nav_core.mounting.stretch import PAUSE, Record
 from nav_core.rotation import error_between
 from nav_core.typing import Floats
 
@@ -48,7 +48,6 @@ SURE = 30.0
 NEIGHBOURHOOD = 60.0
 """A suspicion knows the moment to this, s."""
 
-PAUSE = 60.0
 NEAR_PAUSE = 30.0
 """A box is turned while the vehicle is parked rather than half a minute later, s."""
 

@@ -12,6 +12,7 @@ from scipy.special import fdtrc
 from nav_core.mounting.again import without_own
 from nav_core.mounting.model import UNKNOWNS
 from nav_core.mounting.refine import BLOCK, Fit
+from nav_core.mounting.stretch import PAUSE
 from nav_core.typing import Floats
 
 STRETCHES = 16
@@ -22,9 +23,6 @@ CHANCE = 5e-4
 
 LEAST_SLIP = np.radians(1.0)
 """From begin to end, rad; less is no matter."""
-
-PARKED = 60.0
-"""Without a fix for so long, s, one trip has ended and another begins."""
 
 _LINE = slice(1 + UNKNOWNS, 1 + UNKNOWNS + 3)
 
@@ -109,6 +107,6 @@ def _with_line(gram: Floats, when: Floats) -> Floats:
 def _trips(fit: Fit) -> list[slice]:
     """The blocks of each trip."""
     told = np.flatnonzero(fit.count.any(axis=1))
-    ends = np.flatnonzero(np.diff(told) > PARKED / BLOCK)
+    ends = np.flatnonzero(np.diff(told) > PAUSE / BLOCK)
     begins = [0, *(told[ends + 1]).tolist()]
     return [slice(begin, end) for begin, end in zip(begins, [*begins[1:], fit.gram.shape[0]], strict=True)]

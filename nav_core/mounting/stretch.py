@@ -59,6 +59,9 @@ class Fixes(_Columns):
         return np.where(pace > 2.0, gps_rate(self.t, self.alt, COARSE) / np.maximum(pace, 2.0), 0.0)
 
 
+PAUSE = 60.0
+"""Without data for so long, s, one trip has ended and another begins."""
+
 COARSE = 60.0
 """Half width of the means that divide a road's slope between force and height, s."""
 

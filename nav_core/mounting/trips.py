@@ -12,7 +12,6 @@ from nav_core.mounting.fusion import TripEvidence, disagreement, joined, solved,
 from nav_core.mounting.model import Noise, less_crown
 from nav_core.mounting.moved import LEAST_ANGLE, SURE
 from nav_core.mounting.reasons import reason
-from nav_core.mounting.slip import steady_slip
 from nav_core.mounting.trouble import HANDED, MIRRORED
 from nav_core.mounting.whole_drive import analyse, refused
 from nav_core.records import Gnss, MountingChange, MountingEstimate
@@ -67,15 +66,15 @@ def told_of(ticks: Ticks, gnss: Gnss, past: TripEvidence | None, noise: Noise) -
     contradiction the past counts for less.  Data that are refused stay refused, whatever
     was known before; where they show that the axes are left-handed, the past was read wrongly as well.
     """
-    estimate, fit, handed = analyse(ticks, gnss, noise=noise)
-    own = None if fit is None else trip_evidence(fit, handed)
+    estimate, fit, handed, found = analyse(ticks, gnss, noise=noise)
+    own = None if fit is None else trip_evidence(fit, handed, found)
     codes = {each.code for each in estimate.reasons}
     if past is None or estimate.changes or estimate.status == "not_fixed" or codes & _REFUSED:
         keeps = past is not None and not estimate.changes and "mirrored" not in codes
         return Told(estimate, own, float(keeps))
     if past.handed + handed < -MIRRORED:
         return Told(refused(reason("mirrored")), None, 0.0)
-    if own is None or fit is None:
+    if own is None or fit is None or found is None:
         known = _of(estimate, past, noise)
         return Told(known if "mismatch" not in codes else _doubted(known), None, 1.0)
     chi2, apart = disagreement(past, own, noise)
@@ -86,7 +85,7 @@ def told_of(ticks: Ticks, gnss: Gnss, past: TripEvidence | None, noise: Noise) -
     unlikely = max(1.0 - UNREMARKABLE / max(chi2, 1e-9), 0.0)
     share = FADED if chi2 > DOUBTFUL else 1.0
     # The sum stays where the box was on earlier trips; where it slips it has gone all of the way since.
-    apart = np.column_stack([np.sqrt(unlikely) * apart, np.diag(steady_slip(fit))])
+    apart = np.column_stack([np.sqrt(unlikely) * apart, np.diag(found.slip)])
     known = _of(estimate, joined([weakened(past, share), own]), noise, apart)
     return Told(known if share == 1.0 else _doubted(known), own, share)
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from nav_core.mounting.blows import Blow, blows, cut_out
-from nav_core.mounting.confidence import assess
+from nav_core.mounting.confidence import Confidence, assess
 from nav_core.mounting.model import COURSE_LAG, SPEED_LAG, Noise, less_crown
 from nav_core.mounting.moved import Piece, pieces_of
 from nav_core.mounting.quality import (
@@ -56,6 +56,8 @@ class Analysis(NamedTuple):
     fit: Fit | None
     handed: float = 0.0
     """Twice the log of likelihoods in favour of right-handed axes; see `trouble.handedness`."""
+    found: Confidence | None = None
+    """In the fit, where there is one."""
 
 
 def estimate(ticks: Ticks, gnss: Gnss, *, noise: Noise | None = None) -> MountingEstimate:
@@ -153,7 +155,7 @@ def analyse(ticks: Ticks, gnss: Gnss, *, noise: Noise | None = None) -> Analysis
         changes=changes,
         reasons=(*verdict.reasons, *remarks),
     )
-    return Analysis(known, fit, handed)
+    return Analysis(known, fit, handed, found)
 
 
 def refused(why: Reason) -> MountingEstimate:

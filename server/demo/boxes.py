@@ -203,17 +203,17 @@ def next_leg(box: Box, standpoint: Standpoint, *, seed: int) -> Leg:
         moves=(box.move,) if happens and box.move is not None else (),
         impacts=(box.impact,) if happens and box.impact is not None else (),
     )
-    drive, truth = simulate(replace(scenario, **_kept(seed)), seed=seed + standpoint.leg)
+    drive, truth = simulate(replace(scenario, **_kept(scenario, seed)), seed=seed + standpoint.leg)
     bias = _BIAS * np.random.default_rng((seed, 1)).standard_normal(3)
     drive = replace(drive, inertial=replace(drive.inertial, f=drive.inertial.f + bias))
     mountings = tuple((standpoint.utc + max(t, 0.0), R_va) for t, R_va in truth.mountings)
     return Leg(standpoint.leg, standpoint.utc, drive, mountings)
 
 
-def _kept(seed: int) -> dict[str, float]:
+def _kept(scenario: Scenario, seed: int) -> dict[str, float]:
     """What a box, its receiver and its country's roads keep from drive to drive; the bias is added afterwards."""
     rng = np.random.default_rng((seed, 0))
-    speed_lag, course_lag = rng.uniform(0.0, 0.6, 2).tolist()
+    speed_lag, course_lag = rng.uniform(0.0, scenario.max_drawn_lag, 2).tolist()
     # Roads fall off to the side one drives on, in a fleet that says it drives on the right.
     crown = float(rng.uniform(np.radians(0.3), np.radians(1.2)))
     return {"accel_bias": 0.0, "speed_lag": speed_lag, "course_lag": course_lag, "crown": crown}

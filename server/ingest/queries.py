@@ -14,7 +14,7 @@ MAX_RANGES = 100
 Runs = list[tuple[int, int]]
 """First and last sequence of each, in their order."""
 # Built once: building a statement and its key in the compiler's cache costs more than running it.
-_RUNS = (
+OF_BOOT = (
     select(SequenceRun.first, SequenceRun.last)
     .where(
         SequenceRun.device_id == bindparam("device_id"),
@@ -22,8 +22,8 @@ _RUNS = (
         SequenceRun.boot == bindparam("boot"),
     )
     .order_by(SequenceRun.first)
-    .limit(MAX_RANGES + 1)
 )
+_RUNS = OF_BOOT.limit(MAX_RANGES + 1)
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,7 @@ from server.devices.provisioning import TOLD, Quota, told_by, with_told
 from server.devices.schemas import Told
 from server.errors import ConflictError
 from server.ingest import queries
-from server.models import Batch, Device, SequenceRun
+from server.models import Batch, Device
 
 if TYPE_CHECKING:
     from server.ingest.service import BatchKey, BoxNotes
@@ -21,17 +21,7 @@ if TYPE_CHECKING:
 _QUOTA = Device.quota_day, Device.quota_bytes, Device.bytes_per_day
 _STORED = Batch.id, Batch.body_sha256, Batch.media_type
 # Most boots are one unbroken run; the second only tells that there are more.
-_RUN = (
-    select(SequenceRun.first, SequenceRun.last)
-    .where(
-        SequenceRun.device_id == bindparam("device_id"),
-        SequenceRun.stream == bindparam("stream"),
-        SequenceRun.boot == bindparam("boot"),
-    )
-    .order_by(SequenceRun.first)
-    .limit(2)
-    .subquery()
-)
+_RUN = queries.OF_BOOT.limit(2).subquery()
 # Built once: building a statement and its key in the compiler's cache costs more than running it.
 _STANDING = with_told(
     select(*TOLD, Device.revoked_at, Device.chain_length, Device.chain_head, *_QUOTA, *_STORED, *_RUN.c)

@@ -7,8 +7,8 @@ import pytest
 
 from nav_core.mounting.model import TURN, UNKNOWNS, Noise
 from nav_core.mounting.refine import BLOCK, Fit, view_of
-from nav_core.mounting.slip import PARKED, steady_slip
-from nav_core.mounting.stretch import Fixes, Record
+from nav_core.mounting.slip import steady_slip
+from nav_core.mounting.stretch import PAUSE, Fixes, Record
 
 BLOCKS = 180
 SIGMA = np.radians(1.0)
@@ -59,7 +59,7 @@ def test_a_line_within_one_trip_is_found():
     assert np.abs(found.mean(0) - np.radians(3.0)).max() < np.radians(0.15)
 
 
-@pytest.mark.parametrize("gap", [PARKED, 3 * PARKED])
+@pytest.mark.parametrize("gap", [PAUSE, 3 * PAUSE])
 def test_a_line_that_goes_on_through_a_pause_is_found(gap: float):
     pause = round(gap / BLOCK) + 2
     found = steady_slip(_fit(LINE, _parked((80, 80 + pause)), 1))
