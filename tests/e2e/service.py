@@ -17,6 +17,7 @@ from typing import Self
 import httpx
 
 ADMIN = "end-to-end-administrator-token"
+_SIGN_IN = re.compile(r"http\S+/login\?code=\S+")
 
 
 def free_port() -> int:
@@ -98,8 +99,12 @@ class Service:
 
     @property
     def sign_in(self) -> str:
-        """The one-time link."""
-        return next(match[0] for line in self.lines if (match := re.search(r"http\S+/login\?code=\S+", line)))
+        """The one-time link, which is said after the greeting."""
+
+        def said() -> str | None:
+            return next((match[0] for line in self.lines if (match := _SIGN_IN.search(line))), None)
+
+        return eventually(said, within_s=30, what="the one-time link is said")
 
     def children(self) -> dict[str, int]:
         """Name of each supervised process, and its id."""
