@@ -46,7 +46,9 @@ def steps(session: Session, device_id: str) -> list[Step]:
         earlier = before if row.beginning in ("moved", "manual") else None
         found += [_of_revision(row, revision, earlier) for revision in revisions[row.id]]
         # Its row is newer than its last revision: ready mountings get one every few minutes only.
-        found.append(Step(row.id, row, row.updated_at, row.status, row.progress, row.result, earlier))
+        # One that ended may have been worked out later: it says how the box sat until then.
+        at = row.updated_at if row.ended_at is None else min(row.updated_at, row.ended_at)
+        found.append(Step(row.id, row, at, row.status, row.progress, row.result, earlier))
         if row.result.get("R_va") is not None:
             before = row.result
     return thinned(found, MAX_STEPS)
