@@ -6,6 +6,7 @@ import datetime as dt
 import math
 from functools import partial
 from typing import Any, Literal, Protocol, cast
+from urllib.parse import unquote
 
 import orjson
 from fastapi import FastAPI
@@ -71,6 +72,7 @@ def environment(language: Language) -> Environment:
         number=partial(number, language=language),
         short=partial(short, language=language),
         duration=duration,
+        unquote=lambda value: unquote(str(value)),
     )
     # The extension adds it to the environment at run time.
     cast("Any", made).install_gettext_translations(catalogue(language), newstyle=True)
