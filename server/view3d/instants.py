@@ -17,6 +17,8 @@ AROUND_S = 1.0
 """Where no path is known: the vehicle only stands there."""
 
 FRAMES_PER_S = 20
+BLOW_S, BLOW_FRAMES_PER_S = (-0.05, 0.25), 200
+"""The pulse takes a tenth of a second: its instants are shown one by one."""
 
 
 def known_rows(document: Mapping[str, Any]) -> list[int]:
@@ -32,4 +34,9 @@ def instants(document: Mapping[str, Any]) -> Floats:
     if rows := known_rows(document):
         t = document["curves"]["trajectory"]["t_s"]
         first, last = max(t[rows[0]], -BEFORE_S), min(t[rows[-1]], AFTER_S)
-    return np.arange(np.ceil(first * FRAMES_PER_S), np.floor(last * FRAMES_PER_S) + 1) / FRAMES_PER_S
+    t = _grid(first, last, FRAMES_PER_S)
+    return np.union1d(t, _grid(max(t[0], BLOW_S[0]), min(t[-1], BLOW_S[1]), BLOW_FRAMES_PER_S))
+
+
+def _grid(first: float, last: float, rate: int) -> Floats:
+    return np.arange(np.ceil(first * rate), np.floor(last * rate) + 1) / rate

@@ -84,8 +84,7 @@ class Viewer:
         self.replays = Replays(self._database)
         page = client_page()
         self._shared = _Client(page)
-        self._replay = _Client(without(page, _NOTICES))
-        # The panel shows the socket's address, and so the ticket.
+        # The panel shows the socket's address, and so the ticket; a replay is led from its page.
         self._bare = _Client(without(page, _NOTICES, _PANEL))
         self._headers = {
             "Content-Security-Policy": content_security_policy(settings),
@@ -97,8 +96,8 @@ class Viewer:
         }
 
     async def page(self, request: Request) -> Response:
-        """The client that viser ships, for the holder of a ticket; a replay's without notices over the picture."""
-        return await self._client(request, self._replay if "playbackPath" in request.query_params else self._shared)
+        """The client that viser ships, for the holder of a ticket; a replay's as a mere picture."""
+        return await self._client(request, self._bare if "playbackPath" in request.query_params else self._shared)
 
     async def own_page(self, request: Request) -> Response:
         """The same as a mere picture, for a page that has words and controls of its own."""
