@@ -111,11 +111,8 @@ def guide(page: Page, out: Path, paths: dict[str, str], *, suffix: str = "") -> 
 def replay(page: Page, address: str, path: Path) -> None:
     """The event's page, the replay held just after the blow."""
     page.goto(address)
-    frame = page.frame_locator("scene-3d iframe")
-    time_box = frame.get_by_role("textbox").first
-    time_box.wait_for()
-    frame.locator("body").press("Space")
-    time_box.fill("6.5")
+    page.get_by_label("Play").uncheck()
+    page.get_by_role("group", name="Replay").get_by_role("slider").fill("0.5")
     photograph(page, path, settle_s=15)
 
 

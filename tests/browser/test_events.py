@@ -170,40 +170,91 @@ def test_downloads_and_review(event, site, open_page):
     expect(page.locator("#heading")).not_to_contain_text("legal hold")
 
 
+def replayed(page):
+    """The parts of a replay: whether it plays, its slider, the words of its time, the time of viser's player."""
+    bar = page.get_by_role("group", name="Replay")
+    expect(bar).to_be_visible(timeout=PATIENCE_MS)
+    player = page.frame_locator("scene-3d iframe").locator('input[inputmode="decimal"]')
+    return bar.get_by_role("checkbox", name="Play"), bar.get_by_role("slider"), bar.locator("output"), player
+
+
 @pytest.mark.usefixtures("viewer")
 def test_the_replay_plays_and_can_be_scrubbed(event, open_page, screenshot):
     page = open_page(f"/events/{event}", expected=CHATTER)
     page.set_default_timeout(PATIENCE_MS)
-    frame = page.frame_locator("scene-3d iframe")
-    time = frame.get_by_role("textbox").first
-    expect(time).to_be_visible(timeout=PATIENCE_MS)
-    expect(time).not_to_have_value("0.0", timeout=PATIENCE_MS)  # it plays
-    frame.locator("body").press("Space")  # viser's key for pause
-    # Until the pause has come through, the time runs on under the typing: what is typed stays once it has.
-    until = monotonic() + PATIENCE_MS / 1000.0
-    while True:
-        time.fill("6.8")
-        try:
-            expect(time).not_to_have_value("6.8", timeout=1000)
-        except AssertionError:
-            break
-        assert monotonic() < until, "the replay does not stop"
+    play, at, words, player = replayed(page)
+    expect(play).to_be_checked()
+    expect(words).not_to_have_text("\N{MINUS SIGN}6.000 s", timeout=PATIENCE_MS)  # it plays
+    page.get_by_label("Speed of the replay").select_option("1/50×")
+    play.uncheck()
+    at.fill("0.085")
+    expect(words).to_have_text("0.085 s")
+    expect(player).to_have_value("6.1")
     # The scene fades in, slowly where software renders it; the arrow of the force is there from time zero on.
     wait_coloured(page.locator("scene-3d"), lambda drawn: drawn["red"] > 300)
-    # viser says on a machine without a graphics card that it has none, but not over the picture.
-    expect(frame.locator(".mantine-Notifications-root:visible")).to_have_count(0)
+    # Neither viser's bar nor its remark that the machine has no graphics card stands over the picture.
+    expect(page.frame_locator("scene-3d iframe").locator("[class*=mantine-Paper]:visible")).to_have_count(0)
+    expect(page.frame_locator("scene-3d iframe").locator(".mantine-Notifications-root:visible")).to_have_count(0)
     screenshot(page, "event-replay")
-    expect(time).to_have_value("6.8")
+    # By keyboard it goes from sample to sample of the pulse, and ends at its end.
+    at.press("ArrowRight")
+    expect(words).to_have_text("0.090 s")
+    expect(at).to_have_attribute("aria-valuetext", "0.090 s")
+    page.get_by_label("Speed of the replay").select_option("1×")
+    at.fill("5.5")
+    play.check()
+    expect(play).not_to_be_checked(timeout=PATIENCE_MS)
+    expect(words).to_have_text("6.000 s")
+    play.check()
+    expect(words).to_have_text(re.compile("^\N{MINUS SIGN}"))  # from the beginning
+
+
+@pytest.mark.usefixtures("viewer")
+def test_nothing_plays_by_itself_for_whoever_wants_no_motion(event, open_page):
+    page = open_page(f"/events/{event}", expected=CHATTER, reduced_motion="reduce")
+    play, at, words, player = replayed(page)
+    # The moment of the impact, and it stays.
+    expect(player).to_have_value("6.0", timeout=PATIENCE_MS)
+    expect(words).to_have_text("0.000 s")
+    at.press("ArrowLeft")
+    expect(words).to_have_text("\N{MINUS SIGN}0.005 s")
+    expect(play).not_to_be_checked()
+    play.check()
+    expect(words).to_have_text(re.compile(r"^[1-5]"), timeout=PATIENCE_MS)
+
+
+def test_charts_by_keyboard(event, open_page):
+    page = open_page(f"/events/{event}")
+    page.locator("event-charts").scroll_into_view_if_needed()
+    expect(page.locator("event-charts")).to_have_attribute("data-drawn", "3")
+    chart = page.get_by_role("slider", name="Change of velocity")
+    chart.focus()
+    chart.press("Home")
+    said = re.compile(r"^\W\d+(\.\d+)? ms longitudinal\s0\.00\slateral\s0\.00$")
+    expect(chart).to_have_attribute("aria-valuetext", said)
+    first = chart.get_attribute("aria-valuetext")
+    chart.press("ArrowRight")
+    expect(chart).not_to_have_attribute("aria-valuetext", first)
+    expect(chart).to_have_attribute("aria-valuetext", said)
+    chart.press("ArrowLeft")
+    expect(chart).to_have_attribute("aria-valuetext", first)
+    chart.press("End")
+    # The change of velocity as the table has it, and the other charts and the map at the same instant.
+    expect(chart).to_have_attribute("aria-valuetext", re.compile(r"ms longitudinal\s\W30\.\d\d\slateral\s1\d\.\d\d$"))
+    expect(page.locator('[data-now="pulse0"]')).to_have_text(re.compile(r"\d"))
+    expect(page.locator('[data-now="speed0"]')).to_have_text(re.compile(r"\d"))
+    page.locator("event-map").scroll_into_view_if_needed()
+    chart.press("PageDown")
+    expect(page.locator("event-map")).to_have_attribute("data-cursor", re.compile(r"^0\.\d"))
 
 
 @pytest.mark.usefixtures("viewer")
 def test_replay_charts_and_map_show_one_instant(event, open_page):
     page = open_page(f"/events/{event}", expected=CHATTER)
     page.set_default_timeout(PATIENCE_MS)
-    begins = float(page.locator("scene-3d").get_attribute("from"))
-    assert begins == -6.0
-    frame = page.frame_locator("scene-3d iframe")
-    time, way = frame.get_by_role("textbox").first, page.locator("event-map")
+    play, at_slider, words, time = replayed(page)
+    assert float(at_slider.get_attribute("min")) == -6.0
+    way = page.locator("event-map")
     expect(time).not_to_have_value("0.0", timeout=PATIENCE_MS)  # it plays from the beginning on
     way.scroll_into_view_if_needed()
     expect(way).to_have_attribute("data-points", "121")
@@ -229,6 +280,9 @@ def test_replay_charts_and_map_show_one_instant(event, open_page):
         until = monotonic() + PATIENCE_MS / 1000.0
         while abs(float(time.input_value()) - shown) > 0.15:
             assert monotonic() < until, (time.input_value(), shown)
+        # To the millisecond, where the player shows tenths of a second.
+        expect(words).to_have_text(f"{min(max(at, -6.0), 6.0):.3f} s".replace("-", "\N{MINUS SIGN}"))
+        expect(play).not_to_be_checked()
         # What the replay made of it moves neither the reader's cursor nor the page.
         assert float(way.get_attribute("data-cursor")) == at
         expect(over).to_be_in_viewport()
@@ -236,7 +290,7 @@ def test_replay_charts_and_map_show_one_instant(event, open_page):
     expect(way).to_have_attribute("data-cursor", "")
 
     # It plays on, and the cursor of the charts and the mark on the map go along.
-    frame.get_by_role("button").first.click(timeout=PATIENCE_MS)
+    play.check()
     seen = set()
     until = monotonic() + PATIENCE_MS / 1000.0
     while len(seen) < 5:
@@ -250,5 +304,5 @@ def test_replay_charts_and_map_show_one_instant(event, open_page):
 @pytest.mark.usefixtures("viewer")
 def test_the_event_page_by_keyboard(event, open_page):
     page = open_page(f"/events/{event}", expected=CHATTER)
-    expect(page.frame_locator("scene-3d iframe").get_by_role("textbox").first).to_be_visible(timeout=PATIENCE_MS)
+    replayed(page)
     assert walk_by_keyboard(page) == []

@@ -152,6 +152,24 @@ def test_dragging_over_a_chart_fetches_the_part_and_a_double_click_goes_back(sit
         page.get_by_role("button", name="The trip").click()
 
 
+def test_the_signals_by_keyboard(site, open_page):
+    page = open_page(f"/vehicles/{site.vehicles['Fiat Panda']}")
+    page.locator("track-map").scroll_into_view_if_needed()
+    expect(page.locator("track-map")).to_have_attribute("data-points", "240")
+    expect(page.locator("signal-chart")).to_have_attribute("data-points", re.compile("[1-9]"))
+    chart = page.get_by_role("slider", name="Specific force")
+    expect(chart).to_have_attribute("aria-valuetext", "The arrow keys move the cursor")
+    chart.focus()
+    chart.press("End")
+    said = r"^\d\d:\d\d:\d\d\.\d\d x forward\s\W?\d+\.\d\d\sy right\s\W?\d+\.\d\d\sz down\s\W?\d+\.\d\d$"
+    expect(chart).to_have_attribute("aria-valuetext", re.compile(said))
+    last = chart.get_attribute("aria-valuetext")
+    chart.press("PageDown")
+    expect(chart).not_to_have_attribute("aria-valuetext", last)
+    expect(chart).to_have_attribute("aria-valuetext", re.compile(said))
+    expect(page.locator("track-map")).to_have_attribute("data-cursor", re.compile(r"\d"))
+
+
 def signals_header(body: bytes) -> dict:
     length = int.from_bytes(body[:4], "little")
     return json.loads(body[4 : 4 + length])

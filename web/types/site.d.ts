@@ -27,7 +27,7 @@ type News = {
   zone: null;
   /** Under the charts' cursor: the instant (Unix s; of an event's charts s from time zero), the values, their axes. */
   cursor: { at: number | null; values: Value[]; frame?: string };
-  /** The instant that the charts are to show: under the pointer on the map, or in the replay. */
+  /** The instant that the charts are to show: under the pointer on the map, in the replay, or led to by keys. */
   place: { at: number };
 };
 
@@ -38,6 +38,11 @@ interface HTMLElementTagNameMap {
 /** What a 3D view of one's own shows, and what it tells of itself. */
 type Choice = { step?: string | null; before?: boolean; proposal?: number | null; at?: number | null; f?: Value[]; frame?: string };
 type SceneState = { onlookers: number; drawn: string[] };
+
+/** What leads an event's replay. */
+interface ReplayBar extends HTMLFieldSetElement {
+  elements: HTMLCollection & { play: HTMLInputElement; at: HTMLInputElement; speed: HTMLSelectElement; words: HTMLOutputElement };
+}
 
 /** Reading codes (not in TypeScript's library). */
 declare class BarcodeDetector {
@@ -84,3 +89,25 @@ type PlotData = NonNullable<PlotParameters[1]>;
 type ChartOptions = Omit<Partial<PlotOptions>, "series" | "axes"> & { lines: PlotOptions["series"]; ticks?: Ticks };
 type Point = { t: number; place: LonLat; k: number };
 type Curve = { values: Column; stroke: string; dash?: number[]; sigma?: Column };
+
+// Functions of the scripts, by their use.
+type WhenSeen = (element: Element, run: () => void) => void;
+type Make = <K extends keyof HTMLElementTagNameMap>(tag: K, ...children: (Node | string)[]) => HTMLElementTagNameMap[K];
+type Gathered = (ms: number, run: () => void) => () => void;
+type Fetched<Found = Response> = (url: string, options?: RequestInit) => Promise<Found>;
+type Hear = <K extends keyof News>(what: K, run: (news: News[K]) => void) => void;
+type Tell = <K extends keyof News>(what: K, news: News[K]) => void;
+type Worded = (name: string) => string;
+type Said = (words: string, values?: Record<string, string | number>) => string;
+type Signed = (value: number, digits?: number) => string;
+type Formatter = (style: Intl.DateTimeFormatOptions) => Intl.DateTimeFormat;
+type FetchSignals = (device: string | null, query: Record<string, any>, signal?: AbortSignal) => Promise<Signals>;
+type Pictures = (where: { tiles: string[] } | { url: string }) => Tiles;
+type MakeFeature = (
+  type: "Point" | "LineString" | "MultiLineString" | "Polygon", coordinates: any[], properties?: GeoJSON.GeoJsonProperties,
+) => Feature;
+/** `wanted` in s; the mark's kind in English, and what the map says of it. */
+type Mark = (points: Point[], wanted: number | null, words?: string, say?: string) => Feature[];
+type Converted = (values: Column) => Column;
+/** Half axes in m, `turn` in degrees from north. */
+type Ellipse = (place: LonLat, long: Value, short: Value, turn: Value) => Feature[];

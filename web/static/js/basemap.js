@@ -2,27 +2,27 @@
 // tiles if any; /static/map has the styles.  No other host is asked unless the operator set one, and none for glyphs.
 
 import * as maplibre from "../vendor/maplibre-gl/maplibre-gl.mjs";
-import { colour, fetched, make, onScheme } from "./page.js";
+import { colour, dark, fetched, make } from "./page.js";
 import { UNITS, t } from "./words.js";
 
 export const METRES_PER_DEGREE = 111_320;
-/** Tiles that are pictures. @param {{ tiles: string[] } | { url: string }} where @returns {Tiles} */
+/** Tiles that are pictures. @type {Pictures} */
 const pictures = (where) => ({ source: { type: "raster", tileSize: 256, ...where }, layers: [{ id: "tiles", type: "raster", source: "tiles" }] });
 
-/** A file of the site's map styles, with the reader's colours where it names them. @param {string} name */
-async function drawn(name) {
+/** A file of the site's map styles, with the reader's colours where it names them. @type {Fetched<any>} */
+const drawn = async (name) => {
   const written = await (await fetched(`/static/map/${name}.json`)).text();
   return JSON.parse(written.replace(/"@([\w-]+)"/g, (_, variable) => JSON.stringify(colour(variable))));
-}
+};
 
-/** The operator's archive of tiles: pictures, or shapes by the Protomaps schema. @param {string} address @returns {Promise<Tiles>} */
-async function archive(address) {
+/** The operator's archive of tiles: pictures, or shapes by the Protomaps schema. @type {Fetched<Tiles>} */
+const archive = async (address) => {
   const { PMTiles, Protocol } = await import("../vendor/pmtiles/pmtiles.mjs");
   maplibre.addProtocol("pmtiles", new Protocol().tile);
   const file = new URL(address, location.href).href, url = `pmtiles://${file}`;
   const shapes = (await new PMTiles(file).getHeader()).tileType === 1;
   return shapes ? { source: { type: "vector", url }, layers: await drawn("protomaps") } : pictures({ url });
-}
+};
 
 /** The bundled ground, the operator's tiles below its grid and names, over all what the style `name` adds. @param {string} name @param {Tiles} [tiles] */
 async function styled(name, tiles) {
@@ -34,10 +34,8 @@ async function styled(name, tiles) {
   };
 }
 
-/** @param {"Point" | "LineString" | "MultiLineString" | "Polygon"} type @param {any[]} coordinates @param {GeoJSON.GeoJsonProperties} [properties] */
-export function feature(type, coordinates, properties = {}) {
-  return /** @type {Feature} */ ({ type: "Feature", properties, geometry: { type, coordinates } });
-}
+/** @type {MakeFeature} */
+export const feature = (type, coordinates, properties = {}) => ({ type: "Feature", properties, geometry: { type, coordinates } });
 
 /** Lines a round number of metres apart over what is in view. @param {MapView} map */
 function metricGrid(map) {
@@ -84,7 +82,7 @@ export class GroundMap extends HTMLElement {
       map.setStyle(await styled(name, tiles), { diff: false });
     };
     if (file) void restyle();
-    onScheme(() => void restyle());
+    dark.addEventListener("change", () => void restyle());
     return map;
   }
 

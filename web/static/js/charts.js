@@ -1,9 +1,9 @@
 // What the charts of signals, of events and of the live page have in common.
 
 import uPlot from "../vendor/uplot/uplot.mjs";
-import { colour, hear, onScheme, tell } from "./page.js";
+import { colour, dark, hear, tell } from "./page.js";
 import { formatter } from "./time.js";
-import { LANGUAGE } from "./words.js";
+import { signed } from "./words.js";
 
 /** An element with plots, each in a place `data-plot="name"`, and a line of words. */
 export class Charts extends HTMLElement {
@@ -12,11 +12,12 @@ export class Charts extends HTMLElement {
   /** Fit the width, follow the page's instant; draw anew in other colours or another zone. @param {() => void} draw */
   keepUp(draw) {
     const anew = () => { this.discard(); draw(); };
-    onScheme(anew);
+    dark.addEventListener("change", anew);
     hear("zone", anew);
     hear("place", ({ at }) => {
       for (const plot of Object.values(this.plots)) plot.setCursor({ left: plot.valToPos(at, "x"), top: 1 });
     });
+    this.addEventListener("keydown", (event) => this.#lead(event));
     new ResizeObserver(() => {
       for (const plot of Object.values(this.plots)) {
         const width = plot.root.parentElement?.clientWidth;
@@ -28,22 +29,35 @@ export class Charts extends HTMLElement {
   /** A plot as high as its place. @param {string} name @param {ChartOptions} options @param {Column[]} columns */
   plot(name, { lines, ticks = clockWords, hooks, cursor, ...more }, columns) {
     const host = /** @type {HTMLElement} */ (this.querySelector(`[data-plot="${name}"]`));
-    const axis = { stroke: colour("muted"), grid: { stroke: colour("line"), width: 1 }, ticks: { show: false }, font: "12px system-ui, sans-serif" };
+    const axis = { stroke: colour("muted"), grid: { stroke: colour("line"), width: 1 }, ticks: { show: false } };
     return (this.plots[name] = new uPlot({
       width: host.clientWidth, height: host.clientHeight, legend: { show: false },
       axes: [{ ...axis, space: 90, size: 30, values: ticks }, { ...axis, size: 48, values: (_, values) => values.map((value) => signed(value)) }],
       series: [{}, ...lines.map((line) => ({ width: 1.5, points: { show: false }, ...line }))],
       scales: { x: { auto: false }, y: { range: quiet } },
-      cursor: { sync: { key: "page" }, points: { size: 6 }, ...cursor },
-      hooks: { ...hooks, setCursor: [(plot) => this.#read(plot, name)] },
+      cursor: { sync: { key: "page" }, points: { size: 6 }, y: false, ...cursor },
+      hooks: { ...hooks, setCursor: [(plot) => this.#read(plot, name, ticks)] },
       ...more,
     }, /** @type {PlotData} */ (columns), host));
   }
 
-  /** What is under the cursor: beside the names of the lines, and for the rest of the page. @param {Plot} plot @param {string} name */
-  #read({ cursor: { idx, left = -1 }, series, data, posToVal }, name) {
-    const values = data.map((column) => column[idx ?? -1]);
+  /** Arrows lead the cursor of the plot in focus by a sample, other keys by a twentieth of the view or to its ends. @param {KeyboardEvent} event */
+  #lead(event) {
+    const plot = event.target instanceof HTMLElement && this.plots[event.target.dataset.plot ?? ""];
+    const [first, last] = plot && plot.series[0]?.idxs || [0, 0], leap = (last - first) / 20;
+    const step = { ArrowLeft: -1, ArrowRight: 1, PageDown: -leap, PageUp: leap, Home: -Infinity, End: Infinity }[event.key];
+    if (!plot || !step) return;
+    event.preventDefault();
+    const row = Math.round(Math.min(Math.max((plot.cursor.idx ?? first) + step, first), last));
+    tell("place", { at: plot.data[0][row] ?? 0 });
+  }
+
+  /** What is under the cursor: beside the names of the lines, and for the rest of the page. @param {Plot} plot @param {string} name @param {Ticks} ticks */
+  #read(plot, name, ticks) {
+    const { cursor: { idx, left = -1 }, series, data, root, posToVal } = plot, values = data.map((column) => column[idx ?? -1]);
     series.forEach(({ label }, k) => this.put("now", `${label}`, values[k], 2));
+    const host = root.parentElement, key = host?.previousElementSibling?.lastElementChild;
+    if (host && host === document.activeElement && key instanceof HTMLElement) host.ariaValueText = `${ticks(plot, [values[0] ?? 0])} ${key.innerText}`;
     // The rest of the page follows the last plot, whose time reaches farthest.
     if (name === Object.keys(this.plots).at(-1)) tell("cursor", { at: left < 0 ? null : posToVal(left, "x"), values: values.slice(1), frame: this.dataset.frame });
   }
@@ -78,9 +92,6 @@ export class Charts extends HTMLElement {
     if (line) line.textContent = words;
   }
 }
-
-/** As the language writes it, with the sign that typography has for minus. @param {number} value @param {number} [digits] */
-export const signed = (value, digits) => value.toLocaleString(LANGUAGE, { minimumFractionDigits: digits, maximumFractionDigits: digits ?? 3, useGrouping: false }).replace("-", "−");
 
 /** A quiet signal keeps a span that shows it as quiet. @type {ValueRange} */
 function quiet(_, low, high) {

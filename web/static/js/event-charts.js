@@ -1,11 +1,11 @@
 // <event-charts document="url">: delta-V with its band, the pulse as recorded and as estimated, speed with its band.
 
-import { Charts, signed } from "./charts.js";
+import { Charts } from "./charts.js";
 import { colour, hear, read, whenSeen } from "./page.js";
-import { PER_MPS, t } from "./words.js";
+import { PER_MPS, signed, t } from "./words.js";
 
 const SIGMAS_95 = 1.96;
-/** km/h in the reader's unit. @param {Column} values @returns {Column} */
+/** km/h in the reader's unit. @type {Converted} */
 const speeds = (values) => values.map((v) => v === null ? v : v * PER_MPS / 3.6);
 
 /** @type {Promise<EventDocument> | undefined} */

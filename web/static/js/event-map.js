@@ -33,27 +33,27 @@ const placed = ({ t_s, lat_deg, lon_deg }) => t_s.flatMap((t, k) => {
 
 /** @param {Way} way @param {Point[]} points @param {number | null} rest */
 function features(way, points, rest) {
-  const line = (/** @type {string} */ when, /** @type {number} */ from, /** @type {number} */ to) => {
+  const line = (/** @type {string} */ when, from = -Infinity, to = Infinity) => {
     const part = points.filter(({ t }) => t >= from && t <= to);
     return part.length > 1 ? [feature("LineString", part.map(({ place }) => place), { when })] : [];
   };
   const every = points.filter(({ t }, n) => Math.floor(t / ELLIPSE_EVERY_S) !== Math.floor((points[n - 1]?.t ?? NaN) / ELLIPSE_EVERY_S));
   return {
-    way: [...line("before", -Infinity, 0), ...line("last", -5, 0), ...line("after", 0, Infinity)],
+    way: [...line("before", -Infinity, 0), ...line("last", -5, 0), ...line("after", 0)],
     ellipses: every.flatMap(({ place, k }) => ellipse(place, way.ellipse_long_m[k], way.ellipse_short_m[k], way.ellipse_deg[k])),
     marks: [...mark(points, 0, "impact", t("impact")), ...mark(points, rest, "rest", t("rest"))],
   };
 }
 
-/** @param {Point[]} points @param {number | null} wanted s @param {string} [words] @param {string} [say] */
-function mark(points, wanted, words, say) {
+/** At an instant. @type {Mark} */
+const mark = (points, wanted, words, say) => {
   if (wanted === null || !points[0]) return [];
   const nearest = points.reduce((best, p) => (Math.abs(p.t - wanted) < Math.abs(best.t - wanted) ? p : best));
   return [feature("Point", nearest.place, { words, say })];
-}
+};
 
-/** An ellipse on the ground. @param {LonLat} place @param {Value} long m @param {Value} short m @param {Value} turn degrees from north */
-function ellipse([lon, lat], long, short, turn) {
+/** An ellipse on the ground. @type {Ellipse} */
+const ellipse = ([lon, lat], long, short, turn) => {
   if (long == null || short == null || turn == null) return [];
   const angle = (turn * Math.PI) / 180, east = METRES_PER_DEGREE * Math.cos((lat * Math.PI) / 180);
   const ring = Array.from({ length: 41 }, (_, k) => {
@@ -61,6 +61,6 @@ function ellipse([lon, lat], long, short, turn) {
     return [lon + (a * Math.sin(angle) + b * Math.cos(angle)) / east, lat + (a * Math.cos(angle) - b * Math.sin(angle)) / METRES_PER_DEGREE];
   });
   return [feature("Polygon", [ring])];
-}
+};
 
 customElements.define("event-map", EventMap);

@@ -6,9 +6,7 @@ import { GroundMap, feature } from "./basemap.js";
 import { gathered, hear, make, read } from "./page.js";
 import { t } from "./words.js";
 
-const BATCH_MS = 500;
-/** Layers that show single boxes. */
-const BOXES = ["boxes", "worse"];
+const BATCH_MS = 500, BOXES = ["boxes", "worse"];
 
 class FleetMap extends GroundMap {
   /** By id. @type {Map<string, Feature>} */ #places = new Map();

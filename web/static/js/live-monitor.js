@@ -20,8 +20,7 @@ class LiveMonitor extends Charts {
       const on = button.ariaPressed !== "true";
       button.ariaPressed = String(on);
       if (choice === "window") {
-        this.#window = Number(button.value);
-        this.press(choice, button.value);
+        this.press(choice, this.#window = Number(button.value));
         void this.#ask();
       } else if (choice) this.querySelector(`[data-group="${button.value}"]`)?.toggleAttribute("hidden", !on);
       else this.#paused = on ? this.#newest : 0;

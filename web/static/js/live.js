@@ -51,7 +51,7 @@ function connect() {
 function concerns({ kind, device_id: device, vehicle_id: vehicle }) {
   const about = document.body.dataset.about?.split(" ").filter(Boolean) ?? [];
   if (kind === "analysis") return about.includes(kind);
-  return about.length === 0 || about.some((id) => id === device || id === vehicle);
+  return !about[0] || about.some((id) => id === device || id === vehicle);
 }
 
 /** @param {"on" | "off"} state @param {string} words */
@@ -73,7 +73,7 @@ function refreshSoon(within = SETTLE_MS) {
   pending = setTimeout(refresh, at - performance.now());
 }
 
-/** Another address of the same page: its parts are swapped, and the address can be kept and sent. @param {string} address @param {boolean} [back] whether the browser's button leads back here */
+/** Another address of the same page: its parts are swapped, and the address can be kept and sent. @param {string} address */
 export async function go(address, back = true) {
   history[back ? "pushState" : "replaceState"](null, "", address);
   await refresh();

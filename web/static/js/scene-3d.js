@@ -1,9 +1,9 @@
 // <scene-3d device="id">: the box's 3D view, a scene that nobody else sees, which shows what `show` asks for; the page
-// looks after it and says when it is gone.  <scene-3d event="id" from="s" to="s">: a recorded replay in viser's player,
-// which follows the charts' cursor and leads it.  In a frame of our own origin, opened with a short-lived ticket.
+// looks after it and says when it is gone.  <scene-3d event="id">: a recorded replay in viser's player, led by the
+// <fieldset> after it and by the charts' cursor, which it leads in turn.  In a frame of our own origin, opened with a short-lived ticket.
 
-import { fetched, gathered, hear, make, read, tell, whenSeen } from "./page.js";
-import { t } from "./words.js";
+import { dark, fetched, gathered, hear, make, read, tell, whenSeen } from "./page.js";
+import { signed, t } from "./words.js";
 
 const LOOK_MS = 3000, SOON_MS = 120;
 /** Until the view has connected, and how often. */
@@ -45,9 +45,8 @@ export class Scene3d extends HTMLElement {
       const view = await fetched(event ? url : `${this.#base}state`);
       void view.body?.cancel();
       const frame = make("iframe");
-      const dark = matchMedia("(prefers-color-scheme: dark)").matches;
       frame.title = event ? t("Replay of the event, in three dimensions") : t("Box in the vehicle, in three dimensions");
-      frame.src = `${this.#base}?hideViserLogo${dark ? "&darkMode" : ""}${event ? `&playbackPath=${encodeURIComponent(`${url}events/${event}.viser`)}` : ""}`;
+      frame.src = `${this.#base}?hideViserLogo${dark.matches ? "&darkMode" : ""}${event ? `&playbackPath=${encodeURIComponent(`${url}events/${event}.viser`)}` : ""}`;
       this.replaceChildren(frame);
       if (event) this.#link(frame);
       else void this.#lookAfter(frame);
@@ -56,25 +55,30 @@ export class Scene3d extends HTMLElement {
     }
   }
 
-  /** One instant in the replay and the charts: where the reader points, else where the replay went. @param {HTMLIFrameElement} frame */
+  /** One instant in the replay, its slider and the charts.  It is played here: the player's own clock shows tenths of a second. @param {HTMLIFrameElement} frame */
   #link(frame) {
-    const from = Number(this.getAttribute("from")), to = Number(this.getAttribute("to"));
-    let shown = "";
+    const { play, at: slider, speed, words } = /** @type {ReplayBar} */ (this.nextElementSibling).elements;
+    const from = Number(slider.min), to = Number(slider.max);
+    play.checked = !matchMedia("(prefers-reduced-motion: reduce)").matches;
+    let at = play.checked ? from : 0, shown = NaN, then = performance.now();
+    slider.oninput = () => { play.checked = false; at = slider.valueAsNumber; };
     setInterval(() => {
-      /** The player's time, s from `from`. @type {HTMLInputElement | null | undefined} */
+      const passed = performance.now() - then, sought = this.#sought;
+      then += passed;
+      /** Time of the player, s from `from`. @type {HTMLInputElement | null | undefined} */
       const time = frame.contentDocument?.querySelector('input[inputmode="decimal"]');
       if (!time) return;
-      if (this.#sought !== null) {
-        // The player would take the focus, and the page would jump to it.
-        time.focus = () => {};
+      this.dataset.state = "open";
+      if (sought !== null) at = Math.min(Math.max(sought, from), to);
+      else if (play.checked) at = Math.min((at < to ? at : from) + passed / 1000 * Number(speed.value), to);
+      if (sought !== null || at === to) play.checked = false;
+      if (at !== shown) {
+        shown = slider.valueAsNumber = at;
+        slider.ariaValueText = words.value = `${signed(at, 3)} s`;
         // React keeps a setter of its own on the element; the player pauses.
-        Reflect.set(HTMLInputElement.prototype, "value", (Math.min(Math.max(this.#sought, from), to) - from).toFixed(2), time);
+        Reflect.set(HTMLInputElement.prototype, "value", (at - from).toFixed(4), time);
         time.dispatchEvent(new Event("input", { bubbles: true }));
-        // What it then shows is the reader's instant, not to be told.
-        shown = "";
-      } else if (time.value !== shown) {
-        if (shown) tell("place", { at: from + Number(time.value) });
-        shown = time.value;
+        if (sought === null) tell("place", { at });
       }
       // Also what the charts' cursor said when it was led: an echo.
       this.#sought = null;
@@ -125,7 +129,6 @@ export class Scene3d extends HTMLElement {
   #say(state, words, ...more) {
     this.dataset.state = state;
     const box = make("div", make("p", words), ...more);
-    box.className = "scene-words";
     box.role = "status";
     this.replaceChildren(box);
   }

@@ -8,8 +8,7 @@ import { t } from "./words.js";
 
 /** Columns and their colours. */
 const FORCE = { fx: "axis-x", fy: "axis-y", fz: "axis-z" }, SPEED = { speed: "track" };
-const SHOWN_S = 60;
-const REFETCH_MS = 1500;
+const SHOWN_S = 60, REFETCH_MS = 1500;
 
 class SignalChart extends Charts {
   /** @type {TimeWindow} */ #view = { seconds: SHOWN_S };
@@ -91,10 +90,10 @@ class SignalChart extends Charts {
 
   #draw() {
     if (!this.#signals) return;
-    const { header } = this.#signals;
+    const { header, series } = this.#signals;
     this.dataset.frame = header.frame;
-    this.#put("speed", SPEED, this.#signals, { range: (_, _low, high) => [0, Math.max(high, 20) * 1.1] });
-    this.#put("force", FORCE, this.#signals);
+    this.#put("speed", SPEED, series, { x: { auto: false }, y: { range: (_, _low, high) => [0, Math.max(high, 20) * 1.1] } });
+    this.#put("force", FORCE, series);
     this.#reach(header.from, header.to);
     const count = header.groups.reduce((sum, group) => sum + group.count, 0);
     this.say(count ? this.#words(header) : t("Not yet: no samples in this window"));
@@ -108,11 +107,11 @@ class SignalChart extends Charts {
     return [missing, gaps, this.#back.length ? t("Drag to zoom, double click to go back.") : t("Drag to zoom.")].filter(Boolean).join(" ");
   }
 
-  /** @param {string} name @param {Record<string, string>} columns @param {Signals} signals @param {import("uplot").Scale} [y] */
-  #put(name, columns, { series }, y) {
+  /** @param {string} name @param {Record<string, string>} columns @param {Signals["series"]} series @param {PlotOptions["scales"]} [scales] */
+  #put(name, columns, series, scales) {
     const names = Object.keys(columns), times = series[names[0] ?? ""]?.t ?? [];
     const plot = this.plots[name] ?? this.plot(name, {
-      lines: Object.values(columns).map((one, k) => ({ stroke: colour(one), label: name + k })), ...(y && { scales: { x: { auto: false }, y } }),
+      lines: Object.values(columns).map((one, k) => ({ stroke: colour(one), label: name + k })), ...(scales && { scales }),
       cursor: { drag: { setScale: false }, bind: { dblclick: () => () => { this.#show(this.#back.pop() ?? this.#view); return null; } } },
       hooks: { setSelect: [(plot) => this.#zoom(plot)] },
     }, [[], ...names.map(() => [])]);

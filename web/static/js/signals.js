@@ -1,14 +1,14 @@
 import { PER_MPS, t } from "./words.js";
 
-/** Samples of a box, speeds in the reader's unit; fails with words for the reader. @param {string | null} device @param {Record<string, any>} query @param {AbortSignal} [signal] */
-export async function fetchSignals(device, query, signal) {
+/** Samples of a box, speeds in the reader's unit; fails with words for the reader. @type {FetchSignals} */
+export const fetchSignals = async (device, query, signal) => {
   const answer = await fetch(`/api/v1/devices/${device}/signals?${new URLSearchParams(query)}`, { signal }).catch((error) => {
     throw new Error(t("The service cannot be reached."), { cause: error });
   });
   if (answer.ok) return decode(await answer.arrayBuffer());
   const { detail } = await answer.json().catch(() => ({}));
   throw new Error(detail ?? t("The signals could not be read"));
-}
+};
 
 /** @param {number} s Unix seconds */
 export const iso = (s) => new Date(s * 1000).toISOString();

@@ -7,10 +7,8 @@ const KEY = "scatola:utc";
 const MINUTE_S = 60, HOUR_S = 3600, DAY_S = 86400;
 let utc = localStorage.getItem(KEY) === "1";
 
-/** @param {Intl.DateTimeFormatOptions} style */
-export function formatter(style) {
-  return new Intl.DateTimeFormat(LANGUAGE, { ...style, ...(utc && { timeZone: "UTC" }) });
-}
+/** @type {Formatter} */
+export const formatter = (style) => new Intl.DateTimeFormat(LANGUAGE, { ...style, ...(utc && { timeZone: "UTC" }) });
 
 const DATE = /** @type {const} */ ({ day: "2-digit", month: "short" });
 const CLOCK = /** @type {const} */ ({ ...DATE, hour: "2-digit", minute: "2-digit" });

@@ -33,24 +33,13 @@ class TrackMap extends GroundMap {
     });
   }
 
-  /** Pieces of one speed, a metre a second wide: a line has one colour. */
-  #lines() {
-    const features = [];
-    for (let i = 0; i + 1 < this.#points.length;) {
-      const v = Math.round(this.#speed[i + 1] ?? -1);
-      let j = i + 1;
-      while (j + 1 < this.#points.length && Math.round(this.#speed[j + 1] ?? -1) === v) j++;
-      features.push(feature("LineString", this.#points.slice(i, j + 1), { v }));
-      i = j;
-    }
-    return features;
-  }
-
   #sources() {
     const [first] = this.#points, last = this.#points.at(-1) ?? this.#place;
     const ends = last ? [feature("Point", last, { end: "end", say: first ? t("end") : t("last position") })] : [];
     if (first) ends.unshift(feature("Point", first, { end: "start", say: t("start") }));
-    return { track: this.#lines(), ends };
+    // A line has one colour: a piece from each point to the next.
+    const track = this.#points.slice(1).map((place, k) => feature("LineString", [this.#points[k], place], { v: this.#speed[k + 1] ?? -1 }));
+    return { track, ends };
   }
 
   async #update() {
