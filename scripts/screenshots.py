@@ -111,7 +111,7 @@ def guide(page: Page, out: Path, paths: dict[str, str], *, suffix: str = "") -> 
 def replay(page: Page, address: str, path: Path) -> None:
     """The event's page, the replay held just after the blow."""
     page.goto(address)
-    page.get_by_label("Play").uncheck()
+    page.get_by_role("checkbox", name="Play").uncheck()
     page.get_by_role("group", name="Replay").get_by_role("slider").fill("0.5")
     photograph(page, path, settle_s=15)
 

@@ -71,6 +71,7 @@ def environment(language: Language) -> Environment:
         moment=moment,
         number=partial(number, language=language),
         short=partial(short, language=language),
+        written=partial(written, language=language),
         duration=duration,
         unquote=lambda value: unquote(str(value)),
     )
@@ -103,8 +104,12 @@ def number(value: float, digits: int = 0, *, sign: bool = False, language: Langu
     text = f"{value:{'+' if sign else ''},.{digits}f}"
     if not any(c in "123456789" for c in text):
         text = text.lstrip("+-")
-    text = text.replace(",", "\N{NARROW NO-BREAK SPACE}").replace("-", "\N{MINUS SIGN}")
-    return text.replace(".", ",") if language == "it" else text
+    return written(text.replace(",", "\N{NARROW NO-BREAK SPACE}").replace("-", "\N{MINUS SIGN}"), language=language)
+
+
+def written(figures: str, *, language: Language = "en") -> str:
+    """Figures with the language's decimal sign."""
+    return figures.replace(".", ",") if language == "it" else figures
 
 
 def short(value: float, digits: int = 3, *, language: Language = "en") -> str:
