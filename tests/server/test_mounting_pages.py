@@ -16,7 +16,7 @@ from reportlab.platypus import Paragraph, Table
 
 from nav_core.by_hand import largest_tilt, levelled, orientations
 from nav_core.rotation import rotvec_to_matrix, thesis_to_matrix
-from server.installations.steps import MAX_STEPS, Step, thinned
+from server.installations.steps import MAX_STEPS, Step, steps, thinned
 from server.models import AuditEntry, Device, Installation, MountingRevision, Organisation, User
 from server.reports import certificate as pdf
 from server.view3d.axonometry import drawing, projection
@@ -248,6 +248,18 @@ def test_the_mounting_page_shows_each_step(browser, box, database, clock):
     first = browser.get(page, params={"step": steps[0]})
     assert "±0.5" in unescape(first.text)
     assert browser.get(page, params={"step": "gone"}).text.count('data-shown="3"') == 1
+
+
+def test_the_history_is_in_the_order_of_time(box, database, clock):
+    moved_at = clock()
+    # What ended was worked out again after the box was moved.
+    late = moved_at + dt.timedelta(minutes=30)
+    began = moved_at - dt.timedelta(hours=1)
+    put_installation(database, box.id, began, "ready", (0.3, 0.3, 0.5), ended_at=moved_at, updated_at=late)
+    put_installation(database, box.id, moved_at, "settling", (1.0, 1.5, 4.0), 0.6, beginning="moved")
+    with database.reading() as session:
+        at = [step.at for step in steps(session, box.id)]
+    assert at == [began, moved_at, moved_at, moved_at]
 
 
 def test_a_long_history_is_thinned_and_keeps_what_matters(clock):
