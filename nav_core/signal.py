@@ -301,6 +301,8 @@ def merge(parts: Iterable[Ticks]) -> Ticks:
     for piece in pieces:
         if piece.rate != rate:
             raise RangeError("rate", piece.rate, f"{rate:g}")
+    if len(pieces) == 1:
+        return pieces[0]
     index, place = np.unique(np.concatenate([piece.index for piece in pieces]), return_inverse=True)
     values = np.concatenate([np.column_stack([p.weight, p.moment, p.square]) for p in pieces])
     sums = np.empty((index.size, 5))

@@ -302,20 +302,18 @@ def _strongest(t: Floats, v: Floats, windows: Floats, floor: float, best: Floats
     Blocks in which nothing reaches `floor` keep their zeros; the windows are in order, the longest is the last.
     """
     last = t.size - 1
-    lively = np.empty(t.size // BLOCK + 1, dtype=np.bool_)
-    for block in range((t.size + BLOCK - 1) // BLOCK):
-        lively[block] = _lively(t, v, windows[-1], floor, block * BLOCK)
-    for window in windows:
-        j = 0
-        for i in range(t.size):
-            if not lively[i // BLOCK]:
-                continue
-            until = t[i] + window
-            while j < last and t[j] < until:
-                j += 1
-            dx, dy = v[j, 0] - v[i, 0], v[j, 1] - v[i, 1]
-            if abs(dx) + abs(dy) > best[i]:  # a root is the dearest part, and this bounds it
-                best[i] = max(best[i], np.hypot(dx, dy))
+    for begin in range(0, t.size, BLOCK):
+        if not _lively(t, v, windows[-1], floor, begin):
+            continue
+        for window in windows:
+            j = begin
+            for i in range(begin, min(begin + BLOCK, t.size)):
+                until = t[i] + window
+                while j < last and t[j] < until:
+                    j += 1
+                dx, dy = v[j, 0] - v[i, 0], v[j, 1] - v[i, 1]
+                if abs(dx) + abs(dy) > best[i]:  # a root is the dearest part, and this bounds it
+                    best[i] = max(best[i], np.hypot(dx, dy))
 
 
 def strongest_reference(t: Floats, v: Floats, windows: Floats) -> Floats:

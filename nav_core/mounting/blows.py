@@ -15,7 +15,7 @@ import numpy as np
 
 from nav_core.mounting.model import GRAVITY
 from nav_core.mounting.stretch import FOLLOW_SPEED, Fixes, Record, Span
-from nav_core.signal import Ticks
+from nav_core.signal import Ticks, first_not_before
 from nav_core.typing import Flags, Floats
 
 VIOLENT = 0.8 * GRAVITY
@@ -121,9 +121,11 @@ def _violent(ticks: Ticks) -> Flags:
 def _off(t: Floats, f: Floats, begin: float, end: float) -> Floats:
     """How far each force is off the mean from `begin` to `end` relative to it, shape (n,); NaN without any."""
     total = np.concatenate([np.zeros((1, 3)), np.cumsum(f, axis=0)])
-    first, last = np.searchsorted(t, t + begin), np.searchsorted(t, t + end, side="right")
+    first, last = first_not_before(t, t + begin), first_not_before(t, np.nextafter(t + end, np.inf))
     count = np.where(last > first, last - first, np.nan)
-    return np.linalg.norm(f - (total[last] - total[first]) / count[:, None], axis=1)
+    off = f - (total[last] - total[first]) / count[:, None]
+    size: Floats = np.sqrt(np.einsum("ij,ij->i", off, off))  # a fifth of the time of `norm` along so short an axis
+    return size
 
 
 def _driving_again(fixes: Fixes, since: float) -> float:

@@ -13,7 +13,7 @@ from server.diagnosis import queries, service
 from server.diagnosis.schemas import DiagnosisOut, Kept, LatestOut, Name, ReadingOut, ValuesIn
 from server.edge import DatabaseOf, Moment, Now
 from server.errors import TooManyRequestsError, UnauthenticatedError
-from server.ingest.service import body_sha256
+from server.ingest.service import bytes_sha256
 from server.limits import TokenBuckets
 from server.problems import described
 
@@ -25,7 +25,7 @@ router = APIRouter(tags=["diagnosis"])
 
 async def _as_signed(request: Request, caller: DeviceCaller) -> Caller:
     """The box, whose body is the one that was signed where it signs."""
-    if caller.signed_body_sha256 not in (None, body_sha256(await request.body())):
+    if caller.signed_body_sha256 not in (None, bytes_sha256(await request.body())):
         raise UnauthenticatedError("The body is not the one that was signed", code="signature")
     return caller
 

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 
+from nav_core.records import Drive
 from nav_core.typing import Floats
 from server.formats.columns import Columns
+from server.formats.drive import join_gnss, join_inertial, to_drive
 
 _INERTIAL = ("fx", "fy", "fz", "wx", "wy", "wz", "mx", "my", "mz", "temp")
 _FIX = ("lat", "lon", "alt", "speed", "course", "fix")
@@ -20,6 +24,34 @@ class Part:
 
     columns: Columns
     burst: bool
+    known: Drive | None = None
+    """The records that the columns say, where somebody has made them already."""
+
+    @cached_property
+    def drive(self) -> Drive:
+        """The records that the columns say."""
+        return to_drive(self.columns) if self.known is None else self.known
+
+
+def recording(parts: Sequence[Part]) -> Drive:
+    """The records of parts put together: those of `merged`, and without that way round where nothing is to be merged.
+
+    Batches that follow one another, all their rows in the order of time, are most of what there is.
+    """
+    ordered = sorted(parts, key=lambda part: part.columns.values["t"][:1].tolist())
+    if not _in_one_line(ordered) or any(part.drive.remarks for part in ordered):
+        return to_drive(merged(parts))
+    drives = [part.drive for part in ordered]
+    return Drive(join_inertial([each.inertial for each in drives]), join_gnss([each.gnss for each in drives]))
+
+
+def _in_one_line(parts: Sequence[Part]) -> bool:
+    """Whether the parts have the same columns, none is a burst, and time never stands or goes back."""
+    if any(part.burst for part in parts) or len({tuple(part.columns.values) for part in parts}) != 1:
+        return False
+    times = [part.columns.values["t"] for part in parts]
+    within = all(t.size and bool((np.diff(t) > 0.0).all()) for t in times)
+    return within and all(before[-1] < after[0] for before, after in pairwise(times))
 
 
 def merged(parts: Sequence[Part]) -> Columns:

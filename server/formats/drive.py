@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -117,6 +118,37 @@ def _gnss(values: Mapping[str, Floats], sampled: Mapping[str, Flags], remarks: l
         sats=_optional(values, "sats", index),
         utc=_optional(values, "utc", index),
     )
+
+
+def join_gnss(parts: Sequence[Gnss]) -> Gnss:
+    """Fixes of several batches on one clock in the order of time; of equal times the first part's stays."""
+    t = np.concatenate([part.t for part in parts]) if parts else np.zeros(0)
+    order = np.argsort(t, kind="stable")
+    order = order[np.diff(t[order], prepend=-np.inf) > 0.0]
+    columns: dict[str, Any] = {"t": t[order]}
+    for name in ("lat", "lon", "alt", "speed", "course"):
+        columns[name] = np.concatenate([getattr(part, name) for part in parts])[order] if parts else t
+    for name in ("hdop", "sats", "utc"):
+        full = _filled(parts, name)
+        columns[name] = None if full is None else full[order]
+    fix = np.concatenate([part.fix for part in parts])[order] if parts else np.zeros(0, dtype=np.bool_)
+    return Gnss(fix=fix, **columns)
+
+
+def join_inertial(parts: Sequence[Inertial]) -> Inertial:
+    """Samples of batches of which each begins after the one before it ends."""
+    t, f = np.concatenate([part.t for part in parts]), np.concatenate([part.f for part in parts])
+    return Inertial(t, f, *(_filled(parts, name) for name in ("w", "m", "temp")))
+
+
+def _filled(parts: Sequence[Gnss] | Sequence[Inertial], name: str) -> Floats | None:
+    """An optional column of all parts, NaN for those without; None where all are."""
+    values: list[Floats | None] = [getattr(part, name) for part in parts]
+    known = next((value for value in values if value is not None), None)
+    if known is None:
+        return None
+    nothing = [np.full((part.t.size, *known.shape[1:]), np.nan) for part in parts]
+    return np.concatenate([one if value is None else value for value, one in zip(values, nothing, strict=True)])
 
 
 def from_drive(drive: Drive) -> Columns:

@@ -30,29 +30,29 @@ def column_of(name: str, column: ChunkedArray) -> Floats:
     if not is_numeric(column.type):
         raise InvalidError(f"Column {name!r} holds {str(column.type)[:40]}, not numbers", code="columns", column=name)
     numbers = column.cast(pa.uint8()) if pa.types.is_boolean(column.type) else column
-    chunks = [_values(chunk) for chunk in numbers.cast(pa.float64(), safe=False).chunks]
-    if len(chunks) == 1 and chunks[0][1] is None and np.isfinite(chunks[0][0].sum()):
-        return chunks[0][0]  # a number in every row: the sum would show any that is not finite
-    chunks = [(part, np.ones(part.size, dtype=np.bool_) if valid is None else valid) for part, valid in chunks]
-    values = np.concatenate([part for part, _ in chunks]) if chunks else np.zeros(0)
-    valid = np.concatenate([part for _, part in chunks]) if chunks else np.zeros(0, dtype=np.bool_)
-    bad = ~np.isfinite(values) & valid
-    if bad.any():
-        raise not_finite(name, int(np.argmax(bad)))
-    return np.where(valid, values, np.nan)
+    chunks: list[Floats] = [np.zeros(0)]
+    for chunk in numbers.cast(pa.float64(), safe=False).chunks:
+        chunks.append(_told(name, chunk, sum(part.size for part in chunks)))
+    return chunks[1] if len(chunks) == 2 else np.concatenate(chunks)
 
 
-def _values(chunk: Array) -> tuple[Floats, np.ndarray[Any, np.dtype[np.bool_]] | None]:
-    """Values of a float64 array, whatever stands at nulls, and where it is not null; None for everywhere."""
+def _told(name: str, chunk: Array, first: int) -> Floats:
+    """Values of a float64 array with NaN for null; `first` is the place of its own first row in the column."""
     count, offset = len(chunk), chunk.offset
     bitmap, data = chunk.buffers()
     if data is None or count == 0:
-        return np.full(count, np.nan), np.zeros(count, dtype=np.bool_)
+        return np.full(count, np.nan)
     values = np.frombuffer(data, dtype=np.float64, count=count, offset=offset * 8)
-    if bitmap is None:
-        return values, None
-    bits = np.unpackbits(np.frombuffer(bitmap, dtype=np.uint8), bitorder="little")
-    return values, bits[offset : offset + count].astype(np.bool_)
+    valid = None
+    if chunk.null_count:
+        bits = np.unpackbits(np.frombuffer(bitmap, dtype=np.uint8), bitorder="little")
+        valid = bits[offset : offset + count].view(np.bool_)
+    told = values if valid is None else np.where(valid, values, np.nan)
+    finite = np.isfinite(told)
+    if np.count_nonzero(finite) < count - chunk.null_count:
+        bad = ~finite if valid is None else valid & ~finite
+        raise not_finite(name, first + int(np.argmax(bad)))
+    return told
 
 
 def table_of(columns: Columns) -> Table:

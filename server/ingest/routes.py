@@ -80,7 +80,7 @@ async def upload(
     media_type = media_type_of(content_type)
     encoding = encoding_of(content_encoding)
     packed = await read_body(request, settings.max_body_bytes)
-    if caller.signed_body_sha256 not in (None, service.body_sha256(packed)):
+    if caller.signed_body_sha256 not in (None, service.bytes_sha256(packed)):
         raise UnauthenticatedError("The body is not the one that was signed", code="signature")
     sent = _Sent(key, media_type, notes, len(packed))
 
@@ -111,7 +111,7 @@ def _store(
 ) -> tuple[Acknowledgement, int, int]:
     """The answer, how many rows are new, and how many of them have an accelerometer reading."""
     device_id, key, media_type = cast("str", caller.device_id), sent.key, sent.media_type
-    sha256 = service.body_sha256(body)
+    sha256 = service.bytes_sha256(body)
     with database.glance() as connection:
         before = standing.read(connection, device_id, key, sent.notes, now=now)
     # Most repeats end here, undecoded.
@@ -136,6 +136,7 @@ def _store(
         body_sha256=sha256,
         columns=columns,
         column_sha256=column_sha256,
+        blob_sha256=service.bytes_sha256(parquet),
         blob_key=stored_key,
         body_key=body_key,
         stored_bytes=len(parquet) + (len(body) if body_key is not None else 0),

@@ -61,6 +61,7 @@ class Upload:
     body_sha256: str
     columns: Columns
     column_sha256: str
+    blob_sha256: str
     blob_key: str
     body_key: str | None
     stored_bytes: int
@@ -104,8 +105,8 @@ def key_of(idempotency_key: str | None, stream: str | None) -> BatchKey:
     return BatchKey(stream=named, boot=match["boot"], sequence=int(match["sequence"]))
 
 
-def body_sha256(body: bytes) -> str:
-    """Hash of a body once its Content-Encoding is undone."""
+def bytes_sha256(body: bytes) -> str:
+    """Hash of a body once its Content-Encoding is undone, or of a blob."""
     return hashlib.sha256(body).hexdigest()
 
 
@@ -247,6 +248,7 @@ def _described(upload: Upload) -> dict[str, Any]:
         "media_type": upload.media_type,
         "body_sha256": upload.body_sha256,
         "column_sha256": upload.column_sha256,
+        "blob_sha256": upload.blob_sha256,
         "blob_key": upload.blob_key,
         "body_key": upload.body_key,
         "stored_bytes": upload.stored_bytes,

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 import struct
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -158,20 +157,3 @@ def decode(content: bytes) -> Digest:
         **{name: arrays[name] for name in _OPTIONAL if name in arrays},
     )
     return Digest(ticks, gnss, header["health"], tuple(header["remarks"]))
-
-
-def join_gnss(parts: Sequence[Gnss]) -> Gnss:
-    """Fixes of several batches on one clock in the order of time; of equal times the first part's stays."""
-    t = np.concatenate([part.t for part in parts]) if parts else np.zeros(0)
-    order = np.argsort(t, kind="stable")
-    order = order[np.diff(t[order], prepend=-np.inf) > 0.0]
-    columns: dict[str, Any] = {}
-    for name in _REQUIRED:
-        columns[name] = np.concatenate([getattr(part, name) for part in parts])[order] if parts else t
-    for name in _OPTIONAL:
-        values = [getattr(part, name) for part in parts]
-        if any(value is not None for value in values):
-            full = [np.full(part.t.size, np.nan) if v is None else v for part, v in zip(parts, values, strict=True)]
-            columns[name] = np.concatenate(full)[order]
-    fix = np.concatenate([part.fix for part in parts])[order] if parts else np.zeros(0, dtype=np.bool_)
-    return Gnss(fix=fix, **columns)

@@ -26,9 +26,7 @@ from server.events import queries
 from server.events.canonical import canonical, settle
 from server.events.document import document_of
 from server.events.holds import AFTER_S, BEFORE_S
-from server.events.window import Part, merged
-from server.formats.columns import Columns
-from server.formats.drive import to_drive
+from server.events.window import Part, recording
 from server.installations.blank import blank_result
 from server.installations.result import estimate_of
 from server.jobs.mountings import vehicle_at
@@ -86,7 +84,7 @@ def run_inputs(inputs: dict[str, Any], parts: Sequence[Part], reconstructor: Rec
     """Events from the batches and settings that a document names."""
     first, last = inputs["between_s"]
     return reconstructor(
-        to_drive(merged(parts)),
+        recording(parts),
         estimate_of(inputs["mounting"]),
         vehicle_class=inputs["vehicle_class"],
         between=(first, last),
@@ -102,7 +100,7 @@ class Events:
         situation: Situation,
         results: Results,
         *,
-        load: Callable[[Batch], Columns | None],
+        load: Callable[[Batch], Part | None],
         installations: Sequence[Installation],
         reconstructor: Reconstructor,
         now: dt.datetime,
@@ -236,8 +234,8 @@ class Events:
         installation: Installation | None,
         keep: dict[str, Any] | None = None,
     ) -> list[Found]:
-        loaded = [(batch, columns) for batch in batches if (columns := self._load(batch)) is not None]
-        if not any("fx" in columns.values for _, columns in loaded):
+        loaded = [(batch, part) for batch in batches if (part := self._load(batch)) is not None]
+        if not any("fx" in part.columns.values for _, part in loaded):
             return []
         inputs: dict[str, Any] = settle(
             {
@@ -248,9 +246,8 @@ class Events:
                 "clock": clock_json(boot),
             }
         )
-        parts = [Part(columns, batch.stream == "burst") for batch, columns in loaded]
         try:
-            events = run_inputs(inputs, parts, self._reconstructor)
+            events = run_inputs(inputs, [part for _, part in loaded], self._reconstructor)
         except (ValueError, ArithmeticError):
             # Typed errors of nav_core and of linear algebra: bad data must not keep the batches from being worked off.
             log.exception("events cannot be computed", device_id=self._situation.device.id, between_s=between_s)

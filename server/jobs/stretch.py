@@ -18,7 +18,8 @@ import numpy as np
 from nav_core.records import Gnss
 from nav_core.signal import TICK_RATE, Ticks, merge
 from nav_core.typing import Flags, Floats
-from server.jobs.digest import Digest, join_gnss
+from server.formats.drive import join_gnss
+from server.jobs.digest import Digest
 from server.models import Boot
 
 WINDOW_S = 7200.0

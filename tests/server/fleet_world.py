@@ -51,6 +51,7 @@ class World:
             body_sha256=sha256,
             columns=columns,
             column_sha256=sha256,
+            blob_sha256=service.bytes_sha256(content),
             blob_key=key,
             body_key=None,
             stored_bytes=len(content),

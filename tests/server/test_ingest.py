@@ -507,7 +507,7 @@ def test_a_standing_that_is_no_longer_true_is_read_again(box, database):
         old = standing.read(connection, box.device_id, key, service.BoxNotes(), now=dt.datetime.now(dt.UTC))
     assert box.send(2).status_code == 202
     late = columns(5)
-    upload = service.Upload(key, "application/json", "0" * 64, late, late.column_sha256(), "k", None, 1)
+    upload = service.Upload(key, "application/json", "0" * 64, late, late.column_sha256(), "0" * 64, "k", None, 1)
     with database.transaction() as session:
         accepted = service.accept(session, box.device_id, upload, now=dt.datetime.now(dt.UTC), before=old)
     assert not accepted.duplicate
