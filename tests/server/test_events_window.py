@@ -1,6 +1,7 @@
 """A recording put together from batches: the short way gives what the long one gives, to the last bit."""
 
 from dataclasses import fields
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -21,7 +22,7 @@ def whole() -> Columns:
 
 
 def plain(whole: Columns) -> list[Columns]:
-    cuts = [between(whole, first, np.nextafter(last, first)) for first, last in zip(CUTS, CUTS[1:], strict=False)]
+    cuts = [between(whole, first, np.nextafter(last, first)) for first, last in pairwise(CUTS)]
     return [*cuts[:-1], between(whole, CUTS[-2], CUTS[-1])]
 
 
