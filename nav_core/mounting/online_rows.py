@@ -41,8 +41,8 @@ from nav_core.mounting.stretch import (
     Record,
     at,
     clear_part,
+    gained_between,
     gps_rate,
-    integrate,
     prepare,
     unrolled,
     usable_fixes,
@@ -154,12 +154,12 @@ def rows_of(
     rows[:, GPS_SPEED], rows[:, GPS_HEIGHT], rows[:, GPS_COURSE] = speed, fixes.alt[take], course
 
     edges = np.append(place.speed_at, when)
-    rows[:, COVERED] = np.diff(at(record, edges, np.cumsum(record.step)))
+    gains = gained_between(record, edges, [np.ones(record.t.size), *record.f.T])
+    rows[:, COVERED], rows[:, FORCE : FORCE + 3] = gains[:, 0], gains[:, 1:]
     creeping = _creeping(speed, creeping=place.creeping)
     standing = _standing(fixes, take)
     backwards = np.append(place.creeping, creeping[:-1]) & ~standing
     rows[:, BROKEN] = (np.abs(elapsed - rows[:, COVERED]) > 0.15) | backwards
-    rows[:, FORCE : FORCE + 3] = np.diff(at(record, edges, integrate(record, record.f)), axis=0)
     known = np.isfinite(w) & (fixes.speed > SLOWEST)
     side = np.where(known, w, 0.0)
     squares = np.column_stack([a**2 / GRAVITY, (fixes.speed * side) ** 2 / GRAVITY, side**2])
@@ -171,8 +171,7 @@ def rows_of(
     edges = np.append(place.course_at, when_course)
     apart = np.diff(edges)
     inverse = 1.0 / np.maximum(np.interp(record.t + lags[0], fixes.t, fixes.speed), SLOWEST)
-    total = integrate(record, np.column_stack([record.f * inverse[:, None], inverse]))
-    rows[:, FORCE_PER_SPEED : PER_SPEED + 1] = np.diff(at(record, edges, total), axis=0)
+    rows[:, FORCE_PER_SPEED : PER_SPEED + 1] = gained_between(record, edges, [*(record.f.T * inverse), inverse])
     rows[:, TURNED] = rows[:, TURN_RATE] * apart
     rows[:, SIDE] = (a * side / np.maximum(fixes.speed, SLOWEST) ** 2)[take] * apart
     last_course = np.append(place.course, course[:-1])
@@ -202,12 +201,11 @@ def _standing(fixes: Fixes, take: Integers) -> Flags:
 
 def _add_gyro(rows: Floats, spin: Record, edges: Floats, lag: float, fixes: Fixes) -> None:
     """Integrated rates, where the gyro covers the step."""
-    covered = np.diff(at(spin, edges, np.cumsum(spin.step)))
-    whole = np.abs(covered - np.diff(edges)) < 0.15
+    gains = gained_between(spin, edges, [np.ones(spin.t.size), *spin.f.T])
+    whole = np.abs(gains[:, 0] - np.diff(edges)) < 0.15
     inverse = 1.0 / np.maximum(np.interp(edges + lag, fixes.t, fixes.speed), SLOWEST)
-    turn = np.diff(at(spin, edges, integrate(spin, spin.f)), axis=0)
     change = np.diff(at(spin, edges, spin.f) * inverse[:, None], axis=0)
-    rows[whole, GYRO : GYRO + 3] = turn[whole]
+    rows[whole, GYRO : GYRO + 3] = gains[whole, 1:]
     rows[whole, GYRO_PER_SPEED : GYRO_PER_SPEED + 3] = change[whole]
 
 

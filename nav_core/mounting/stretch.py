@@ -338,9 +338,33 @@ def gained(record: Record, steps: Steps, columns: Sequence[Floats]) -> Floats:
     ndarray, shape (n, k)
         That unit times s; 0 where the step is broken.
     """
-    out = np.zeros((steps.when.size, len(columns)))
+    return _gained(record, steps.when, steps.broken, columns)
+
+
+def gained_between(record: Record, edges: Floats, columns: Sequence[Floats]) -> Floats:
+    """What running integrals of tick values (`integrate`) gain from each of some moments to the next.
+
+    Parameters
+    ----------
+    record : Record
+        m ticks.
+    edges : ndarray, shape (n,)
+        Box clock, s; they may go back, and what is gained there is taken away.
+    columns : sequence of ndarray, shape (m,)
+        k of them, each in any unit.
+
+    Returns
+    -------
+    ndarray, shape (n - 1, k)
+        That unit times s.
+    """
+    return _gained(record, edges, np.zeros(edges.size, dtype=np.bool_), columns)[1:]
+
+
+def _gained(record: Record, when: Floats, broken: Flags, columns: Sequence[Floats]) -> Floats:
+    out = np.zeros((when.size, len(columns)))
     if record.t.size > 1:
-        _gain(record.t, record.step, np.stack(columns), steps.when, steps.broken, out)
+        _gain(record.t, record.step, np.stack(columns), when, broken, out)
     return out
 
 
@@ -355,6 +379,10 @@ def _gain(t: Floats, step: Floats, columns: Floats, when: Floats, broken: Flags,
                 right += 1
                 before = now
                 now += 0.5 * step[right] * (values[right] + values[right - 1])
+            while right > 1 and t[right - 1] > when[i]:
+                right -= 1
+                now = before
+                before -= 0.5 * step[right] * (values[right] + values[right - 1])
             share = (when[i] - t[right - 1]) / max(t[right] - t[right - 1], 1e-9)
             there = before + min(max(share, 0.0), 1.0) * (now - before)
             out[i, c] = 0.0 if broken[i] or i == 0 else there - last

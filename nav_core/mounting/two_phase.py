@@ -23,7 +23,7 @@ from nav_core.mounting.confidence import CONVERGED, observability
 from nav_core.mounting.model import GRAVITY
 from nav_core.mounting.quality import USELESS, too_little
 from nav_core.mounting.reasons import reason
-from nav_core.mounting.stretch import Record, at, gps_rate, integrate, prepare, unrolled, usable_fixes
+from nav_core.mounting.stretch import Record, gained_between, gps_rate, prepare, unrolled, usable_fixes
 from nav_core.mounting.trouble import explained, wrong_unit
 from nav_core.records import Drive, MountingEstimate, Reason
 from nav_core.rotation import skew
@@ -134,12 +134,11 @@ def _samples(record: Record) -> _Samples:
     """Rates of the receiver by central differences, and the specific force in the mean over the same time."""
     fixes = record.fixes
     t, reach = fixes.t, max(REACH, 1.01 * float(np.median(np.diff(fixes.t))))
-    total = at(record, np.concatenate([t - LAG - reach, t - LAG + reach]), integrate(record, record.f))
-    covered = at(record, np.concatenate([t - LAG - reach, t - LAG + reach]), np.cumsum(record.step))
-    n = t.size
-    lasted = covered[n:] - covered[:n]
+    edges = np.column_stack([t - LAG - reach, t - LAG + reach]).ravel()
+    gains = gained_between(record, edges, [np.ones(record.t.size), *record.f.T])[::2]
+    lasted = gains[:, 0]
     with np.errstate(invalid="ignore", divide="ignore"):
-        f = (total[n:] - total[:n]) / lasted[:, None]
+        f = gains[:, 1:] / lasted[:, None]
     f[np.abs(lasted - 2.0 * reach) > 0.15] = np.nan
     turn_rate = np.where(fixes.speed > MOVING, gps_rate(t, unrolled(fixes.course), reach), 0.0)
     span = np.minimum(np.diff(t, prepend=t[0]), 2.0 * reach)

@@ -13,9 +13,12 @@ from nav_core.mounting.planes import PITCH_STATES, YAW_STATES, transitions
 from nav_core.mounting.refine import view_of
 from nav_core.mounting.stretch import (
     Span,
+    at,
     blocks_of,
     gained,
+    gained_between,
     gained_reference,
+    integrate,
     prepare,
     smoothed,
     smoothed_reference,
@@ -166,6 +169,13 @@ def test_walks_along_the_ticks_and_their_references_agree():
     for lag in (0.0, 0.37):
         steps = steps_of(record, lag)
         np.testing.assert_array_equal(gained(record, steps, columns), gained_reference(record, steps, columns))
+    back_and_forth = np.random.default_rng(6).uniform(record.t[0] - 1.0, record.t[-1] + 1.0, 60)
+    np.testing.assert_allclose(
+        gained_between(record, back_and_forth, columns),
+        np.diff(at(record, back_and_forth, integrate(record, np.column_stack(columns))), axis=0),
+        rtol=1e-9,
+        atol=1e-9,
+    )
     for reach in (0.5, 20.0):
         np.testing.assert_array_equal(
             smoothed(record, columns[0], reach), smoothed_reference(record, columns[0], reach)
