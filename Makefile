@@ -5,7 +5,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 PYTEST_WORKERS ?= 2
 
-.PHONY: help setup run test check bench bench-mounting bench-service bench-crash vendor lock clean bench-moved coverage test-faults thesis-figures
+.PHONY: help setup run test check bench bench-mounting bench-service bench-crash vendor lock clean bench-moved bench-held-out coverage test-faults thesis-figures
 .DEFAULT_GOAL := help
 
 help:  ## This list
@@ -46,6 +46,10 @@ bench-crash: setup  ## 500 simulated crashes, 200 hours without one; writes docs
 
 bench-moved: setup  ## False and missed alarms of a moved box, 3000 h (hours to run; goes on where it was stopped)
 	$(BIN)/python benchmarks/moved.py
+
+bench-held-out: setup  ## Unlike springs, smoothing receivers, straight roads on seeds of their own (a quarter of an hour; goes on where it was stopped)
+	$(BIN)/python benchmarks/held_out.py
+
 # Kernels show their lines to no tracer once compiled: the tests that compare them with plain code run again without.
 KERNELS := agree or compiled or matrices or kernel or plain or one_by_one or filterpy or digits or double_sum or whole_record \
   or order_of_the_rule or halves or rest_stays or left_out or straight

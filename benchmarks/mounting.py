@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from mounting_drives import METHODS, OURS, ROUTES, ROWS, run_all, stored
+from mounting_drives import METHODS, OURS, ROUTES, ROWS, run_all, run_drive, seed_of, stored
 
 from nav_core.typing import Floats
 
@@ -182,7 +182,9 @@ def draw(done: list[dict[str, Any]]) -> None:
 
 def main() -> None:
     """Run what is missing, then write."""
-    done = stored(RAW) if "--report" in sys.argv else run_all(RAW, workers=os.cpu_count() or 1)
+    done = (
+        stored(RAW) if "--report" in sys.argv else run_all(RAW, run_drive, ROWS, seed_of, workers=os.cpu_count() or 1)
+    )
     REPORT.write_text(report(done), encoding="utf-8")
     draw(done)
     print(f"\n{REPORT}", file=sys.stderr)

@@ -5,12 +5,12 @@ from __future__ import annotations
 import json
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, TypeVar
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
@@ -18,9 +18,10 @@ import numpy as np
 
 from nav_core.mounting import estimate_mounting
 from nav_core.mounting.bound import mounting_bound
-from nav_core.records import Drive
+from nav_core.records import Drive, MountingEstimate
 from nav_core.rotation import error_between
 from nav_core.simulate import Scenario, faults, simulate
+from nav_core.typing import Floats
 
 METHODS = ("whole-drive", "online", "mekf", "two-phase")
 OURS = METHODS[:1]
@@ -66,12 +67,14 @@ class Row:
     methods: tuple[str, ...] = OURS
     fixed: bool = False
     spoilt: Callable[[Drive, int, int], Drive] | None = None
+    dives: tuple[float, ...] = (1.0,)
+    """What the springs of each drive in turn give in braking, as a share of what they give in accelerating."""
 
     def scenarios(self) -> Iterator[Scenario]:
         """One scenario a drive."""
         for index in range(self.count):
             rate = self.scenario.gnss_rate if self.fixed else GNSS_RATES[index % len(GNSS_RATES)]
-            yield replace(self.scenario, gnss_rate=rate)
+            yield replace(self.scenario, gnss_rate=rate, dive=self.dives[index % len(self.dives)])
 
 
 def _route(name: str, duration: float, **changes: Any) -> Scenario:
@@ -117,11 +120,18 @@ def seed_of(row: int, index: int) -> int:
     return 500_000 + 1_000 * row + index
 
 
-def run_drive(row: int, index: int) -> dict[str, Any]:
-    """Simulate one drive, bound it, and estimate it by every method of its row."""
-    job = ROWS[row]
+def outcome(found: MountingEstimate, R_va: Floats | None) -> dict[str, Any]:
+    """Status, error and sigma of an estimate, as far as there are any."""
+    error = sigma = None
+    if found.R_va is not None and found.sigma is not None and R_va is not None:
+        error = np.degrees(error_between(found.R_va, R_va)).tolist()
+        sigma = np.degrees(found.sigma).tolist()
+    return {"status": found.status, "error_deg": error, "sigma_deg": sigma}
+
+
+def run_drive(job: Row, index: int, seed: int) -> dict[str, Any]:
+    """Simulate one drive of a row, bound it, and estimate it by every method of the row."""
     scenario = next(islice(job.scenarios(), index, None))
-    seed = seed_of(row, index)
     drive, truth = simulate(scenario, seed=seed)
     R_va = truth.R_va
     if job.spoilt is not None:
@@ -136,11 +146,8 @@ def run_drive(row: int, index: int) -> dict[str, Any]:
     }
     for method in job.methods:
         found = estimate_mounting(drive, method=method)  # type: ignore[arg-type]
-        known = found.R_va is not None and found.sigma is not None and R_va is not None
         out["results"][method] = {
-            "status": found.status,
-            "error_deg": np.degrees(error_between(found.R_va, R_va)).tolist() if known else None,
-            "sigma_deg": np.degrees(found.sigma).tolist() if known else None,
+            **outcome(found, R_va),
             "converged_after_s": found.converged_after,
             "changes": len(found.changes),
             "reasons": [reason.code for reason in found.reasons],
@@ -153,16 +160,46 @@ def stored(path: Path) -> list[dict[str, Any]]:
     return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()] if path.exists() else []
 
 
-def run_all(path: Path, *, workers: int = 2) -> list[dict[str, Any]]:
-    """Every drive that the file does not hold yet; progress on standard error."""
+class Job(Protocol):
+    """Drives with common conditions."""
+
+    @property
+    def name(self) -> str:
+        """What the line of a drive goes by."""
+        ...
+
+    @property
+    def count(self) -> int:
+        """Of drives."""
+        ...
+
+
+J = TypeVar("J", bound=Job)
+
+
+def run_all(
+    path: Path,
+    run: Callable[[J, int, int], dict[str, Any]],
+    jobs: Sequence[J],
+    seeds: Callable[[int, int], int],
+    *,
+    workers: int = 2,
+) -> list[dict[str, Any]]:
+    """Every drive of the jobs that the file does not hold yet; progress on standard error.
+
+    `run` is told job, index and seed; `seeds` gives the latter for place of the job and index.
+    """
     done = stored(path)
     known = {(entry["row"], entry["index"]) for entry in done}
     todo = [
-        (row, index) for row, job in enumerate(ROWS) for index in range(job.count) if (job.name, index) not in known
+        (job, index, seeds(row, index))
+        for row, job in enumerate(jobs)
+        for index in range(job.count)
+        if (job.name, index) not in known
     ]
     path.parent.mkdir(parents=True, exist_ok=True)
     with path.open("a", encoding="utf-8") as file, ProcessPoolExecutor(workers) as pool:
-        futures = [pool.submit(run_drive, row, index) for row, index in todo]
+        futures = [pool.submit(run, *each) for each in todo]
         for future in as_completed(futures):
             entry = future.result()
             file.write(json.dumps(entry) + "\n")
