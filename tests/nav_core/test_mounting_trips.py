@@ -62,6 +62,20 @@ def test_a_box_turned_between_trips_begins_anew(past, axis):
     assert np.degrees(angle_between(change.before, R_VA)) < 1.5
 
 
+@pytest.mark.parametrize(("time", "duration", "seed", "low_pass"), [(1.0, 120.0, 31, True), (0.5, 60.0, 43, False)])
+def test_trips_with_a_receiver_that_smooths_agree(time: float, duration: float, seed: int, low_pass: bool):
+    """The receiver's low-pass, told in the first trip, is told in the second one or taken for lag: no contradiction."""
+    smoothing = replace(CITY, gnss_smoothing=time, speed_lag=0.2, course_lag=0.3)
+    first = _trip(smoothing, seed)
+    assert first.estimate.speed_lag > first.own.speed_lag + 0.2
+    second = _trip(replace(smoothing, duration=duration), seed + 1, first.own)
+    assert (second.estimate.speed_lag > second.own.speed_lag) is low_pass
+    assert second.past_share == 1.0
+    assert second.estimate.changes == ()
+    error = np.abs(error_between(second.estimate.R_va, R_VA))
+    assert np.all(error < 3.0 * second.estimate.sigma)
+
+
 @pytest.mark.parametrize("scale", [1.0 / 9.80665, 0.0, -1.0])
 def test_refused_data_stay_refused_whatever_was_known(past, scale):
     """In g, dead, and inverted: the past cannot make them right."""
