@@ -22,16 +22,10 @@ from server.jobs.broker import Sender, Sweep, make_broker, run_consumer
 from server.models import Batch, BatchDigest, DeviceState, Installation
 from server.settings import Settings
 from tests.conftest import missing_service
+from tests.e2e.service import eventually
 
 URL = "amqp://guest:guest@127.0.0.1:5672/"
 pytestmark = pytest.mark.rabbitmq
-
-
-def until(condition, seconds=90.0) -> None:
-    deadline = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < deadline, "did not come about in time"
-        time.sleep(0.02)
 
 
 def bursts_of(queue: str) -> str:
@@ -100,7 +94,7 @@ def test_a_message_brings_a_device_up_to_date(world, batches, send, consume, mon
     for k, batch in enumerate(batches):
         world.put(batch, k)
         send(world.device_id)
-    until(lambda: world.unprocessed() == 0)
+    eventually(lambda: world.unprocessed() == 0, within_s=90, what="all is worked off")
     assert len(world.rows(BatchDigest)) == len(batches)
 
 
@@ -110,14 +104,14 @@ def test_bursts_have_a_queue_of_their_own(world, batches, settings, queue, consu
     sender = Sender(settings, queue=bursts_of(queue), actor=jobs_broker.BURST_ACTOR)
     sender(world.device_id)
     consume()
-    until(lambda: world.unprocessed() == 0)
+    eventually(lambda: world.unprocessed() == 0, within_s=90, what="all is worked off")
     sender.close()
 
 
 def test_the_sweep_finds_what_no_message_told(world, batches, consume):
     world.put(batches[0], 0)
     consume()
-    until(lambda: world.unprocessed() == 0)
+    eventually(lambda: world.unprocessed() == 0, within_s=90, what="all is worked off")
 
 
 def test_the_sweep_sends_once_and_not_into_a_waiting_queue(world, batches, clock, queue):
@@ -126,12 +120,12 @@ def test_the_sweep_sends_once_and_not_into_a_waiting_queue(world, batches, clock
     broker.declare_queue(queue, ensure=True)
     sweep = Sweep(world.database, broker, queue, clock)
     assert sweep.once() == 1
-    until(lambda: broker.get_queue_message_counts(queue)[0] == 1)
+    eventually(lambda: broker.get_queue_message_counts(queue)[0] == 1, within_s=90, what="one message waits")
     assert sweep.once() == 0
     clock.advance(seconds=jobs_broker.RESEND_S)
     assert sweep.once() == 0  # it still waits
     broker.flush(queue)
-    until(lambda: broker.get_queue_message_counts(queue)[0] == 0)
+    eventually(lambda: broker.get_queue_message_counts(queue)[0] == 0, within_s=90, what="no message waits")
     assert sweep.once() == 1
     assert sweep.once() == 0
     broker.close()
@@ -153,7 +147,7 @@ def test_work_that_keeps_failing_ends_in_the_dead_letters(world, batches, send, 
     send(world.device_id)
     broker = make_broker(URL)
     broker.declare_queue(queue, ensure=True)
-    until(lambda: broker.get_queue_message_counts(queue)[2] == 1)
+    eventually(lambda: broker.get_queue_message_counts(queue)[2] == 1, within_s=90, what="the message is a dead letter")
     broker.close()
     assert tried == [world.device_id] * 3
     assert world.unprocessed() == 1
@@ -181,7 +175,7 @@ def test_a_broker_that_is_away_fails_no_upload_and_is_found_again(world, setting
     assert failed.wait(10.0)
     broker = make_broker(URL)
     broker.declare_queue(queue, ensure=True)
-    until(lambda: broker.get_queue_message_counts(queue)[0] == 1)
+    eventually(lambda: broker.get_queue_message_counts(queue)[0] == 1, within_s=90, what="one message waits")
     broker.close()
     sender.close()
     dead = Sender(settings.model_copy(update={"broker_url": Settings(broker_url=nobody).broker_url}), queue=queue)
@@ -243,9 +237,9 @@ def test_two_worker_processes_race_and_one_is_killed(world, send, consumer_proce
         send(world.device_id)
         send(world.device_id)
         if k == len(batches) // 2:
-            until(lambda: world.rows(DeviceState))
+            eventually(lambda: world.rows(DeviceState), within_s=90, what="the first result")
             doomed.send_signal(signal.SIGKILL)
-    until(lambda: world.unprocessed() == 0)
+    eventually(lambda: world.unprocessed() == 0, within_s=90, what="all is worked off")
     assert all(batch.failure is None for batch in world.rows(Batch))
     assert len(world.rows(BatchDigest)) == len(batches)
     (installation,) = world.rows(Installation)
@@ -286,8 +280,12 @@ def test_one_upload_is_one_trace_through_broker_and_worker(
     columns = {"t": [0.0, 0.5], "fx": [0, 0], "fy": [0, 0], "fz": [-9.8, -9.8]}
     headers = {"Authorization": f"Bearer {token}", "Idempotency-Key": "b/0", "X-Request-ID": "upload-7"}
     client.post("/api/v1/batches", json={"columns": columns}, headers=headers).raise_for_status()
-    until(lambda: world.unprocessed() == 0)
-    until(lambda: "bring up to date" in {span.name for span in spans.get_finished_spans()})
+    eventually(lambda: world.unprocessed() == 0, within_s=90, what="all is worked off")
+    eventually(
+        lambda: "bring up to date" in {span.name for span in spans.get_finished_spans()},
+        within_s=90,
+        what="the round's span ended",
+    )
     finished = {span.name: span for span in spans.get_finished_spans()}
     upload, job = finished["POST /api/v1/batches"], finished["bring up to date"]
     assert job.context.trace_id == upload.context.trace_id
@@ -315,7 +313,7 @@ def test_a_dead_letter_is_shown_and_replayed(app, admin, world, batches, send, c
     world.put(batches[0], 0)
     consume()
     send(world.device_id)
-    until(lambda: queues.depths().get(xq_name(queue)) == 1)
+    eventually(lambda: queues.depths().get(xq_name(queue)) == 1, within_s=90, what="one dead letter is told")
     (letter,) = admin.get("/api/v1/jobs/failures", params={"dead": True}).json()["items"]
     assert (letter["device_id"], letter["failures"], letter["waiting_batches"]) == (world.device_id, 3, 1)
     assert letter["error"] == "RuntimeError: no luck with amqp://user:[redacted]@broker"
@@ -323,8 +321,8 @@ def test_a_dead_letter_is_shown_and_replayed(app, admin, world, batches, send, c
     assert "scatola_dead_letters 1.0" in admin.get("/metrics").text
     luck.set()
     assert admin.post("/api/v1/jobs/failures/replay").json() == {"replayed": [world.device_id]}
-    until(lambda: world.unprocessed() == 0)
-    until(lambda: queues.depths()[xq_name(queue)] == 0)
+    eventually(lambda: world.unprocessed() == 0, within_s=90, what="all is worked off")
+    eventually(lambda: queues.depths()[xq_name(queue)] == 0, within_s=90, what="no dead letter is told")
     assert admin.get("/api/v1/jobs/failures").json() == {"items": [], "total": 0, "next": None}
     assert admin.post(f"/api/v1/jobs/failures/{world.device_id}/replay").status_code == 404
     actions = [entry["action"] for entry in admin.get("/api/v1/audit").json()["items"]]

@@ -11,6 +11,7 @@ import pytest
 
 from server.jobs import supervise
 from server.jobs.supervise import Child, Supervisor
+from tests.e2e.service import eventually
 
 OBEDIENT = """
 import os, sys
@@ -23,13 +24,6 @@ while True:
     if not data: break
 """
 STUBBORN = "import signal; signal.signal(signal.SIGTERM, signal.SIG_IGN)\n" + OBEDIENT
-
-
-def until(condition, seconds=20.0) -> None:
-    deadline = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < deadline, "did not come about in time"
-        time.sleep(0.01)
 
 
 @pytest.fixture
@@ -72,9 +66,9 @@ def is_alive(pid: int) -> bool:
 
 def test_a_child_is_woken_through_its_pipe(log, supervise_all):
     supervisor = supervise_all(child(log), child(log.with_name("other"), name="viewer"))
-    until(lambda: "start" in words(log))
+    eventually(lambda: "start" in words(log), within_s=20, what="the child starts")
     supervisor.wake("some device")
-    until(lambda: "wake" in words(log))
+    eventually(lambda: "wake" in words(log), within_s=20, what="the child is woken")
 
 
 def test_a_full_pipe_and_a_dead_child_do_not_hold_up_the_waker(supervise_all):
@@ -91,9 +85,13 @@ def test_a_child_that_dies_is_started_again_after_a_growing_pause(log, supervise
     worker = child(log)
     supervise_all(worker)
     for deaths in range(1, 4):
-        until(lambda deaths=deaths: words(log).count("start") == deaths and worker.pid is not None)
+        eventually(
+            lambda deaths=deaths: words(log).count("start") == deaths and worker.pid is not None,
+            within_s=20,
+            what="the child starts again",
+        )
         os.kill(worker.pid, signal.SIGKILL)
-    until(lambda: words(log).count("start") == 4)
+    eventually(lambda: words(log).count("start") == 4, within_s=20, what="the child starts a fourth time")
     assert worker._deaths == 3
 
 
@@ -116,7 +114,7 @@ def test_the_pause_doubles_up_to_its_limit_and_begins_anew_after_a_healthy_life(
 def test_stopping_ends_all_and_starts_none_again(log, supervise_all):
     both = [child(log), child(log, name="viewer")]
     supervisor = supervise_all(*both)
-    until(lambda: words(log).count("start") == 2)
+    eventually(lambda: words(log).count("start") == 2, within_s=20, what="the child starts again")
     pids = [one.pid for one in both]
     supervisor.stop(5.0)
     assert not any(is_alive(pid) for pid in pids)
@@ -127,7 +125,7 @@ def test_stopping_ends_all_and_starts_none_again(log, supervise_all):
 def test_a_child_that_does_not_stop_is_killed(log, supervise_all):
     stubborn = child(log, STUBBORN)
     supervisor = supervise_all(stubborn)
-    until(lambda: "start" in words(log))
+    eventually(lambda: "start" in words(log), within_s=20, what="the child starts")
     pid, began = stubborn.pid, time.monotonic()
     supervisor.stop(0.3)
     assert time.monotonic() - began < 5.0
@@ -142,11 +140,11 @@ def test_children_end_by_themselves_when_the_supervisor_is_killed(log):
         "time.sleep(60)\n"
     )
     parent = subprocess.Popen([sys.executable, "-c", code, str(log), OBEDIENT])
-    until(lambda: "start" in words(log))
+    eventually(lambda: "start" in words(log), within_s=20, what="the child starts")
     pid = int(log.read_text().split()[1])
     parent.kill()
     parent.wait()
-    until(lambda: not is_alive(pid))
+    eventually(lambda: not is_alive(pid), within_s=20, what="the child ends")
     assert words(log)[-1] == "end"
 
 
@@ -187,11 +185,11 @@ while True: sum(range(10**6))
         "time.sleep(60)"
     )
     supervisor = subprocess.Popen([sys.executable, "-c", code, str(log), busy])
-    until(lambda: words(log) == ["start"])
+    eventually(lambda: words(log) == ["start"], within_s=20, what="the child starts")
     pid = int(log.read_text().split()[1])
     supervisor.kill()
     supervisor.wait()
-    until(lambda: not is_alive(pid))
+    eventually(lambda: not is_alive(pid), within_s=20, what="the child ends")
 
 
 def test_a_busy_child_whose_supervisor_was_gone_before_it_looked_ends_too():

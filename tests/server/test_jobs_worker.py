@@ -4,7 +4,6 @@ import os
 import signal
 import subprocess
 import threading
-import time
 
 import pytest
 from fleet_world import Leg, World, cut, drive_of
@@ -13,6 +12,7 @@ from server.jobs import worker
 from server.jobs.supervise import SUPERVISED, scatola
 from server.jobs.worker import Rounds, run_worker
 from server.models import Batch, DeviceState, JobFailure
+from tests.e2e.service import eventually
 
 
 @pytest.fixture
@@ -23,13 +23,6 @@ def world(database, settings, clock, organisation) -> World:
 @pytest.fixture
 def batches():
     return cut(drive_of(Leg(60, 10.0)))
-
-
-def until(condition, seconds=60.0) -> None:
-    deadline = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < deadline, "did not come about in time"
-        time.sleep(0.02)
 
 
 @pytest.fixture
@@ -54,10 +47,10 @@ def running(settings, clock):
 
 def test_it_works_off_what_comes_with_and_without_a_wake(world, batches, running):
     world.put(batches[0], 0)
-    until(lambda: world.unprocessed() == 0)
+    eventually(lambda: world.unprocessed() == 0, within_s=60, what="all is worked off")
     world.put(batches[1], 1)
     os.write(running[1], b"\n")
-    until(lambda: world.unprocessed() == 0)
+    eventually(lambda: world.unprocessed() == 0, within_s=60, what="all is worked off")
     assert world.one(DeviceState).version == 2
 
 
@@ -130,7 +123,7 @@ def test_blobs_without_a_row_are_collected_beside_the_work(world, batches, clock
         os.utime(path, (old, old))
     stop = threading.Event()
     thread = worker.start_housekeeping(world.database, world.store, stop=stop, clock=clock)
-    until(lambda: not world.store.exists(orphan))
+    eventually(lambda: not world.store.exists(orphan), within_s=60, what="the blob without a row is gone")
     stop.set()
     thread.join(10.0)
     assert world.store.exists(world.one(Batch).blob_key)
@@ -162,7 +155,7 @@ def test_a_worker_refuses_a_database_that_is_not_migrated(tmp_path, broker):
 
 def test_a_real_process_works_and_stops_on_sigterm(world, batches, process):
     world.put(batches[0], 0)
-    until(lambda: world.unprocessed() == 0)
+    eventually(lambda: world.unprocessed() == 0, within_s=60, what="all is worked off")
     assert os.getpriority(os.PRIO_PROCESS, process.pid) >= 5
     process.send_signal(signal.SIGTERM)
     assert process.wait(10.0) == 0
@@ -171,7 +164,7 @@ def test_a_real_process_works_and_stops_on_sigterm(world, batches, process):
 def test_a_real_process_killed_in_the_middle_loses_nothing(world, batches, process):
     for k, batch in enumerate(batches):
         world.put(batch, k)
-    until(lambda: world.rows(DeviceState))
+    eventually(lambda: world.rows(DeviceState), within_s=60, what="the first result")
     process.kill()
     process.wait()
     world.bring_up()

@@ -7,8 +7,7 @@ import socket
 import subprocess
 import sys
 import threading
-import time
-from collections.abc import Callable, Generator
+from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -41,6 +40,7 @@ from server.view3d.scene import R_WORLD_V, MountingScene, headline, panel_html
 from server.view3d.uncertainty import SIGMAS_95, axis_ellipse, cone
 from server.view3d.view import MountingView, load, view_of
 from server.view3d.viewer import client_page, create_viewer
+from tests.e2e.service import eventually
 
 NOW = dt.datetime(2026, 3, 12, 14, 3, tzinfo=dt.UTC)
 R_VA = Rotation.from_euler("YZX", [20.0, -35.0, 110.0], degrees=True).as_matrix()
@@ -53,13 +53,6 @@ def quiet_console() -> Generator[None]:
     rich.reconfigure(quiet=True)
     yield
     rich.reconfigure(quiet=False)
-
-
-def wait_until(condition: Callable[[], bool], seconds: float = 10.0) -> None:
-    ends = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < ends, "the condition did not come true"
-        threading.Event().wait(0.02)
 
 
 def free_port() -> int:
@@ -330,7 +323,7 @@ def test_idle_servers_stop_and_give_back_their_threads_and_files(database):
         pool.refresh()
         assert pool.running() == ()
         gc.collect()
-        wait_until(lambda: threading.active_count() <= before[0])
+        eventually(lambda: threading.active_count() <= before[0], within_s=10, what="the threads end")
         assert len(list(Path("/proc/self/fd").iterdir())) <= before[1] + 1
 
 
@@ -347,7 +340,7 @@ def test_a_change_row_brings_the_scene_up_to_date(database, monkeypatch):
             announce(session, "position", at=NOW, organisation_id=device.organisation_id, device_id=device.id)
         with database.transaction() as session:
             put_result(session, device, READY, began_at=NOW + dt.timedelta(minutes=1))
-        wait_until(lambda: len(shown) > 1)
+        eventually(lambda: len(shown) > 1, within_s=10, what="a second frame is shown")
         assert np.array(shown[1].R_va) == pytest.approx(R_VA)
         pool.refresh()
         assert len(shown) == 2, "what others do, and what comes with every upload, does not redraw"
@@ -364,7 +357,7 @@ def serving(app: object, port: int) -> Generator[uvicorn.Server]:
     server = uvicorn.Server(config)
     thread = threading.Thread(target=lambda: asyncio.run(server.serve()), daemon=True)
     thread.start()
-    wait_until(lambda: server.started)
+    eventually(lambda: server.started, within_s=10, what="the server starts")
     try:
         yield server
     finally:
@@ -411,11 +404,10 @@ def test_page_and_socket_end_to_end_through_the_api(app, address, client, admin,
         page = client.get(path)
         assert page.status_code == 200
         assert page.content == client_page()
-        # A replay is a picture with the player's bar, without notices over it.
+        # A replay is a mere picture: its page leads it.
         replay = client.get(f"{path}?hideViserLogo&playbackPath=x.viser")
-        assert replay.content.replace(
-            b"<style>.mantine-Notifications-root{display:none!important}</style>", b"", 1
-        ) == (client_page())
+        hidden = b"<style>.mantine-Notifications-root,.mantine-Paper-root{display:none!important}</style>"
+        assert replay.content.replace(hidden, b"", 1) == client_page()
         assert replay.content != client_page()
         policy = page.headers["content-security-policy"]
         assert "frame-ancestors 'self'" in policy
@@ -505,7 +497,9 @@ def test_a_view_of_ones_own_walks_through_the_history_and_nobody_else_sees_it(
             for path in (wrong, f"{wrong}state"):
                 assert httpx.get(app.state.viewer_url + path).status_code == 403
             assert status_of_refusal(app.state.viewer_url, wrong) == 403
-        wait_until(lambda: client.get(f"{own}state").json()["onlookers"] == 0)
+        eventually(
+            lambda: client.get(f"{own}state").json()["onlookers"] == 0, within_s=10, what="nobody looks on any more"
+        )
     assert client.get(f"{own}state").status_code == 503
 
 
