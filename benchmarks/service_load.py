@@ -377,11 +377,17 @@ class Streamed:
     boxes: int
     batches: int = 0
     reports_s: list[float] = field(default_factory=list)
-    memory_mb: list[float] = field(default_factory=list)
+    memory: list[tuple[int, float]] = field(default_factory=list)
+    """Batches so far and resident memory of the API, MB, every few seconds."""
 
     def quantile(self, share: float) -> float:
         """So much of them took no longer, s."""
         return float(np.quantile(self.reports_s, share))
+
+    def growth_mb(self) -> float:
+        """Slope of the memory over the second half of the time, MB per 10 000 batches."""
+        batches, memory_mb = np.array(self.memory[len(self.memory) // 2 :]).T
+        return 1e4 * float(np.polyfit(batches, memory_mb, 1)[0])
 
 
 async def stream_with_crashes(*, boxes: int, minutes: float) -> Streamed:
@@ -418,7 +424,7 @@ async def stream_with_crashes(*, boxes: int, minutes: float) -> Streamed:
 
         async def memory() -> None:
             while time.monotonic() < until:
-                found.memory_mb.append(api.memory_mb())
+                found.memory.append((found.batches, api.memory_mb()))
                 await asyncio.sleep(min(5.0, minutes))
 
         await asyncio.gather(memory(), crashes(), *(box(number) for number in range(boxes)))

@@ -22,7 +22,7 @@ from server.formats import decode
 from server.jobs.supervise import Child, Supervisor, scatola
 from server.live.hub import LiveHub
 from server.logs import configure_logging
-from server.memory import set_aside
+from server.memory import set_aside, share_heaps
 from server.migrations import serves, upgrade
 from server.patience import PatientProtocol
 from server.settings import Settings
@@ -92,7 +92,8 @@ def serve(
 
 
 def settle() -> None:
-    """Once an application is made: have what uploads need, and keep the garbage collector from all that lasts."""
+    """Once an application is made, before threads work: few heaps, what uploads need, nothing that lasts collected."""
+    share_heaps()
     decode.load()
     set_aside()
 
