@@ -252,7 +252,6 @@ def test_a_swap_ends_the_installation_and_data_after_it_count_for_the_new_vehicl
 
 
 @both
-@both
 @pytest.mark.parametrize("blob_sha256", [None, "0" * 64])
 def test_a_blob_that_other_bytes_make_up_is_told_whole_by_its_columns(world, blob_sha256):
     """A batch from before blobs were hashed, and one whose blob an equal batch has written anew since."""
@@ -263,6 +262,7 @@ def test_a_blob_that_other_bytes_make_up_is_told_whole_by_its_columns(world, blo
     assert world.one(Batch).failure is None
 
 
+@both
 @pytest.mark.parametrize("damage", ["missing", "garbage", "other"])
 def test_a_batch_that_cannot_be_read_is_remarked_and_stops_nobody(world, damage):
     batches = cut(drive_of(*CITY))
