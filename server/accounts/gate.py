@@ -20,6 +20,7 @@ from starlette.responses import RedirectResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from server.accounts import service, signature
+from server.accounts.access import address_of
 from server.accounts.caller import Caller
 from server.accounts.cookie import COOKIE, cookie_header
 from server.accounts.permissions import ALL
@@ -68,6 +69,8 @@ class AccessGate:
         except ProblemError as error:
             await _refuse(error, connection, receive, send)
             return
+        if caller is not None:
+            caller = dataclasses.replace(caller, address=address_of(connection))
         scope.setdefault("state", {})["caller"] = caller
         await self._app(scope, receive, _renewing(send, connection) if renewed else send)
 

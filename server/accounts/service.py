@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from sqlalchemy import Connection, bindparam, delete, or_, select
 from sqlalchemy.orm import Session
 
+from server.accounts import audit
 from server.accounts.caller import Caller
 from server.accounts.permissions import ALL, ROLE_PERMISSIONS, known
 from server.accounts.preferences import Preferences
@@ -69,8 +70,8 @@ def new_sign_in_code(session: Session, organisation_id: str, *, now: dt.datetime
     return code
 
 
-def redeem(session: Session, code: str, *, now: dt.datetime) -> OpenedSession:
-    """Open a session with a one-time code."""
+def redeem(session: Session, code: str, *, now: dt.datetime, address: str) -> OpenedSession:
+    """Open a session with a one-time code, on record in the audit log."""
     # The row is locked, so that a code that is sent twice at once opens one session.
     row = session.get(SignInCode, hash_of(code), with_for_update=True)
     if row is None or row.used_at is not None or row.expires_at <= now:
@@ -79,6 +80,9 @@ def redeem(session: Session, code: str, *, now: dt.datetime) -> OpenedSession:
     if user is not None and user.disabled_at is not None:
         raise UnauthenticatedError(marked("The code is not valid, or was used already"), code="sign_in_failed")
     row.used_at = now
+    name, user_id = ("administrator", None) if user is None else (user.email, user.id)
+    caller = Caller(row.organisation_id, "session", name=name, user_id=user_id, address=address)
+    audit.record(session, caller, "sign_in", name, now=now, detail={"by": "code"})
     return open_session(session, row.organisation_id, now=now, user_id=row.user_id, by_code=True)
 
 
