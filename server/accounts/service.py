@@ -194,16 +194,21 @@ def device_of(connection: Connection, token: str) -> tuple[Caller, bool] | None:
     return Caller(row.organisation_id, "device", device_id=row.id), row.token_hash != digest
 
 
-def begin_next_token(session: Session, token: str) -> None:
+def begin_next_token(session: Session, token_hash: str) -> None:
     """The first use of a token that the box asked for ends the one before."""
-    device = session.scalar(select(Device).where(Device.next_token_hash == hash_of(token)).with_for_update())
+    device = session.scalar(select(Device).where(Device.next_token_hash == token_hash).with_for_update())
     if device is not None:
-        device.token_hash, device.next_token_hash = hash_of(token), None
+        device.token_hash, device.next_token_hash = token_hash, None
 
 
-def signing_device(session: Session, device_id: str) -> tuple[Caller, str] | None:
-    """A box that signs its requests, and its key."""
+def signing_device(session: Session, device_id: str) -> tuple[Caller, list[str]] | None:
+    """A box that signs its requests, and its keys: that of its token, and of the next one if it asked for one."""
     row = session.execute(
-        select(Device.organisation_id, Device.token_hash).where(Device.id == device_id, Device.revoked_at.is_(None))
+        select(Device.organisation_id, Device.token_hash, Device.next_token_hash).where(
+            Device.id == device_id, Device.revoked_at.is_(None)
+        )
     ).first()
-    return None if row is None else (Caller(row.organisation_id, "device", device_id=device_id), row.token_hash)
+    if row is None:
+        return None
+    keys = [key for key in (row.token_hash, row.next_token_hash) if key is not None]
+    return Caller(row.organisation_id, "device", device_id=device_id), keys
