@@ -22,6 +22,7 @@ from starlette.datastructures import MutableHeaders
 from starlette.requests import HTTPConnection
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from server.accounts.gate import DEVICE_PATHS
 from server.problems import InternalProblemError, problem_response
 from server.tracing import REQUEST_ID, failed, request_span
 from server.troubles import trouble_of
@@ -103,6 +104,8 @@ def route_template(scope: Scope) -> str:
     path = getattr(scope.get("route"), "path", None)
     if isinstance(path, str) and path:
         return path
+    if scope["path"] in DEVICE_PATHS:
+        return str(scope["path"])  # refused before it was matched: a box with a wrong token must show
     for root in ("/static", "/view3d"):
         if scope["path"].startswith(root + "/"):
             return root

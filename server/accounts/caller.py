@@ -27,6 +27,8 @@ class Caller:
     session_id: str | None = None
     csrf_token: str | None = None
     device_id: str | None = None
+    address: str = ""
+    """Where the request came from, as far as the proxies in front are believed."""
     preferences: Preferences = field(default_factory=Preferences)
     signed_body_sha256: str | None = None
     """Of a signed request: the hash that its body, as sent, must have."""

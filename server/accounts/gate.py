@@ -20,6 +20,7 @@ from starlette.responses import RedirectResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from server.accounts import service, signature
+from server.accounts.access import address_of
 from server.accounts.caller import Caller
 from server.accounts.cookie import COOKIE, cookie_header
 from server.accounts.permissions import ALL
@@ -68,6 +69,8 @@ class AccessGate:
         except ProblemError as error:
             await _refuse(error, connection, receive, send)
             return
+        if caller is not None:
+            caller = dataclasses.replace(caller, address=address_of(connection))
         scope.setdefault("state", {})["caller"] = caller
         await self._app(scope, receive, _renewing(send, connection) if renewed else send)
 
@@ -120,7 +123,7 @@ def _bearer(settings: Settings, database: Database, token: str, now: dt.datetime
     caller, is_next = found
     if is_next:
         with database.transaction() as session:
-            service.begin_next_token(session, token)
+            service.begin_next_token(session, hash_of(token))
     return caller
 
 
@@ -128,11 +131,14 @@ def _signed(database: Database, connection: HTTPConnection, claim: signature.Cla
     with database.reading() as session:
         found = service.signing_device(session, claim.device_id)
     # An unknown box fails like a wrong signature: which boxes exist is nobody's business.
-    caller, key = found or (None, hash_of(""))
+    caller, keys = found or (None, [hash_of("")])
     method, path = connection.scope["method"], connection.url.path
-    signature.check(claim, key, method=method, path=path, headers=connection.headers, now=now)
+    key = signature.check(claim, keys, method=method, path=path, headers=connection.headers, now=now)
     if caller is None:
         raise UnauthenticatedError("The signature is not this box's for this request", code="signature")
+    if key != keys[0]:
+        with database.transaction() as session:
+            service.begin_next_token(session, key)
     return dataclasses.replace(caller, signed_body_sha256=claim.body_sha256)
 
 

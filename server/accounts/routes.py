@@ -8,7 +8,7 @@ from typing import Annotated, cast
 from fastapi import APIRouter, Form, Request
 from starlette.responses import RedirectResponse, Response
 
-from server.accounts import passwords, service, users
+from server.accounts import audit, passwords, service, users
 from server.accounts.access import AnyCaller, Caller, address_of
 from server.accounts.cookie import cookie_header
 from server.accounts.schemas import OpenedSessionOut, SessionOut, SignIn
@@ -60,11 +60,17 @@ def _open_by_password(
     return opened
 
 
-def _open(settings: Settings, database: Database, code: str, now: dt.datetime) -> service.OpenedSession:
+def _open(
+    request: Request, settings: Settings, database: Database, code: str, now: dt.datetime
+) -> service.OpenedSession:
+    address = address_of(request)
     with database.transaction() as session:
         if settings.admin_token is not None and same(code, settings.admin_token.get_secret_value()):
-            return service.open_session(session, service.ensure_organisation(session, now=now).id, now=now)
-        return service.redeem(session, code, now=now)
+            organisation_id = service.ensure_organisation(session, now=now).id
+            caller = Caller(organisation_id, "session", name="administrator", address=address)
+            audit.record(session, caller, "sign_in", caller.name, now=now, detail={"by": "administrator's token"})
+            return service.open_session(session, organisation_id, now=now)
+        return service.redeem(session, code, now=now, address=address)
 
 
 @router.get("/login", include_in_schema=False)
@@ -98,7 +104,7 @@ def login(
         if email and not code:
             opened = _open_by_password(request, database, email, password, totp, now)
         else:
-            opened = _open(settings, database, code.strip(), now)
+            opened = _open(request, settings, database, code.strip(), now)
     except (UnauthenticatedError, TooManyRequestsError) as error:
         return _form(request, "", next, error.detail, error.status)
     response = RedirectResponse(_local(next), 303)
@@ -128,7 +134,7 @@ def open_session(
     """Sign in: sets the session's cookie and tells its CSRF token."""
     _check_attempts(request, now)
     if body.code is not None:
-        opened = _open(settings, database, body.code.strip(), now)
+        opened = _open(request, settings, database, body.code.strip(), now)
     else:
         opened = _open_by_password(request, database, body.email or "", body.password or "", body.totp, now)
     response.headers["set-cookie"] = cookie_header(opened.token, request)

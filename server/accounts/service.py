@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from sqlalchemy import Connection, bindparam, delete, or_, select
 from sqlalchemy.orm import Session
 
+from server.accounts import audit
 from server.accounts.caller import Caller
 from server.accounts.permissions import ALL, ROLE_PERMISSIONS, known
 from server.accounts.preferences import Preferences
@@ -69,8 +70,8 @@ def new_sign_in_code(session: Session, organisation_id: str, *, now: dt.datetime
     return code
 
 
-def redeem(session: Session, code: str, *, now: dt.datetime) -> OpenedSession:
-    """Open a session with a one-time code."""
+def redeem(session: Session, code: str, *, now: dt.datetime, address: str) -> OpenedSession:
+    """Open a session with a one-time code, on record in the audit log."""
     # The row is locked, so that a code that is sent twice at once opens one session.
     row = session.get(SignInCode, hash_of(code), with_for_update=True)
     if row is None or row.used_at is not None or row.expires_at <= now:
@@ -79,6 +80,9 @@ def redeem(session: Session, code: str, *, now: dt.datetime) -> OpenedSession:
     if user is not None and user.disabled_at is not None:
         raise UnauthenticatedError(marked("The code is not valid, or was used already"), code="sign_in_failed")
     row.used_at = now
+    name, user_id = ("administrator", None) if user is None else (user.email, user.id)
+    caller = Caller(row.organisation_id, "session", name=name, user_id=user_id, address=address)
+    audit.record(session, caller, "sign_in", name, now=now, detail={"by": "code"})
     return open_session(session, row.organisation_id, now=now, user_id=row.user_id, by_code=True)
 
 
@@ -190,16 +194,21 @@ def device_of(connection: Connection, token: str) -> tuple[Caller, bool] | None:
     return Caller(row.organisation_id, "device", device_id=row.id), row.token_hash != digest
 
 
-def begin_next_token(session: Session, token: str) -> None:
+def begin_next_token(session: Session, token_hash: str) -> None:
     """The first use of a token that the box asked for ends the one before."""
-    device = session.scalar(select(Device).where(Device.next_token_hash == hash_of(token)).with_for_update())
+    device = session.scalar(select(Device).where(Device.next_token_hash == token_hash).with_for_update())
     if device is not None:
-        device.token_hash, device.next_token_hash = hash_of(token), None
+        device.token_hash, device.next_token_hash = token_hash, None
 
 
-def signing_device(session: Session, device_id: str) -> tuple[Caller, str] | None:
-    """A box that signs its requests, and its key."""
+def signing_device(session: Session, device_id: str) -> tuple[Caller, list[str]] | None:
+    """A box that signs its requests, and its keys: that of its token, and of the next one if it asked for one."""
     row = session.execute(
-        select(Device.organisation_id, Device.token_hash).where(Device.id == device_id, Device.revoked_at.is_(None))
+        select(Device.organisation_id, Device.token_hash, Device.next_token_hash).where(
+            Device.id == device_id, Device.revoked_at.is_(None)
+        )
     ).first()
-    return None if row is None else (Caller(row.organisation_id, "device", device_id=device_id), row.token_hash)
+    if row is None:
+        return None
+    keys = [key for key in (row.token_hash, row.next_token_hash) if key is not None]
+    return Caller(row.organisation_id, "device", device_id=device_id), keys

@@ -10,7 +10,7 @@ import datetime as dt
 import hashlib
 import hmac
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from server.errors import UnauthenticatedError
@@ -67,10 +67,12 @@ def _signature(token_sha256: str, method: str, path: str, claim: Claim, headers:
 
 
 def check(
-    claim: Claim, token_sha256: str, *, method: str, path: str, headers: Mapping[str, str], now: dt.datetime
-) -> None:
-    """Raise unless the signature is this box's and fresh; a box whose clock is off is told the time."""
-    if not hmac.compare_digest(_signature(token_sha256, method, path, claim, headers), claim.signature):
+    claim: Claim, keys: Sequence[str], *, method: str, path: str, headers: Mapping[str, str], now: dt.datetime
+) -> str:
+    """The box's key that signed; raises unless one did, and lately.  A box whose clock is off is told the time."""
+    made = {key: _signature(key, method, path, claim, headers) for key in keys}
+    key = next((key for key, signature in made.items() if hmac.compare_digest(signature, claim.signature)), None)
+    if key is None:
         raise UnauthenticatedError("The signature is not this box's for this request", code="signature")
     if abs(now.timestamp() - claim.time_s) > WINDOW_S:
         raise UnauthenticatedError(
@@ -78,3 +80,4 @@ def check(
             code="clock_skew",
             server_time=now.isoformat(),
         )
+    return key

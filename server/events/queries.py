@@ -16,6 +16,9 @@ from server.models import Batch, ChainSeal, Device, Event, EventAction, EventInp
 
 LISTED = Event.withdrawn_at.is_(None), Event.erased_at.is_(None)
 MAX_DOCUMENT_BYTES = 256 * 1024 * 1024
+AROUND_ROWS = 8_000_000
+AROUND_BATCHES = 4_000
+"""Most rows, unless one batch alone has more, and most batches that are read around an event: a worker's memory."""
 
 
 def selection(
@@ -107,7 +110,11 @@ def inputs(session: Session, event_id: str) -> Sequence[Batch]:
 
 
 def batches_between(session: Session, device_id: str, boot: str, first_s: float, last_s: float) -> Sequence[Batch]:
-    """Readable batches of both streams that reach into a span of the box's clock, in the order of the chain."""
+    """Readable batches of both streams that reach into a span of the box's clock, in the order of the chain.
+
+    The newest that have `AROUND_ROWS` together: of a box that never changes its boot's name and whose clock begins
+    anew all the same, or of one with a single time far off, all that it ever sent would be read with each batch.
+    """
     query = select(Batch).where(
         Batch.device_id == device_id,
         Batch.boot == boot,
@@ -116,7 +123,15 @@ def batches_between(session: Session, device_id: str, boot: str, first_s: float,
         Batch.failure.is_(None),
         Batch.erasing_at.is_(None),
     )
-    return session.scalars(query.order_by(Batch.chain_index)).all()
+    newest: list[Batch] = []
+    rows = 0
+    # Not by the index of the chain: few batches lie in the span, and with a limit all of the box's might be walked.
+    for batch in session.scalars(query.order_by((Batch.chain_index + 0).desc()).limit(AROUND_BATCHES)):
+        rows += batch.rows
+        if newest and rows > AROUND_ROWS:
+            break
+        newest.append(batch)
+    return newest[::-1]
 
 
 def stored_between(session: Session, device_id: str, boot: str, first_s: float, last_s: float) -> Sequence[Event]:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pyarrow as pa
 from pyarrow import csv
 
 from server.errors import InvalidError
-from server.formats.columns import NAMES, Columns, check_names, check_size
+from server.formats.columns import NAMES, Columns, check_names, check_size, lines_of
 from server.formats.tables import column_of
 
 _MAX_HEADER_BYTES = 4096
@@ -26,8 +25,7 @@ def read(body: bytes, *, max_decoded_bytes: int | None) -> Columns:
     if len(set(names)) != len(names) or len(names) > len(NAMES):
         raise InvalidError("A column is there twice, or there are too many", code="columns")
     check_names(names)
-    lines = np.count_nonzero(np.frombuffer(body, dtype=np.uint8) == ord("\n"))
-    check_size(int(lines) + 1, len(names), max_decoded_bytes)
+    check_size(lines_of(body), len(names), max_decoded_bytes)
     try:
         table = csv.read_csv(
             pa.BufferReader(body),

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Protocol
 
 from server.errors import UnsupportedMediaError
-from server.formats.columns import Columns, check_values
+from server.formats.columns import Columns, check_size, check_values
 
 
 class _Reader(Protocol):
@@ -110,5 +110,6 @@ def decode(media_type: str, body: bytes, *, max_decoded_bytes: int) -> Columns:
         The body does not say what the contract allows, or unpacks to too much.
     """
     columns = _READERS[media_type]()(body, max_decoded_bytes=max_decoded_bytes)
+    check_size(columns.rows, len(columns.values), max_decoded_bytes)  # whatever a reader overlooked goes no further
     check_values(columns)
     return columns

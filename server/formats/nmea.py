@@ -15,7 +15,7 @@ import numpy as np
 
 from nav_core.records import Remark
 from server.errors import InvalidError
-from server.formats.columns import Columns, check_size
+from server.formats.columns import Columns, check_size, lines_of
 
 _SENTENCE = re.compile(
     r"\s*(?:(?P<stamp>\d{1,12}(?:\.\d{1,9})?)[\s,;:]+)?"
@@ -48,12 +48,13 @@ def is_nmea(body: bytes) -> bool:
 
 def read(body: bytes, *, max_decoded_bytes: int | None) -> Columns:
     """Columns of a log."""
-    lines = body.decode("ascii", "replace").splitlines()
-    check_size(4 * len(lines), 12, max_decoded_bytes)  # while they are read, reports are objects
+    # Before lines are made, each an object many times its length; while they are read, reports are objects.
+    check_size(4 * lines_of(body), 12, max_decoded_bytes)
     left_out: Counter[str] = Counter()
     reports: list[_Report] = []
     first_bad = 0
-    for number, line in enumerate(lines, start=1):
+    for number, raw in enumerate(body.splitlines(), start=1):
+        line = raw.decode("ascii", "replace")
         if not line.strip():
             continue
         why = _take(line, reports)

@@ -18,7 +18,7 @@ from pyarrow import compute, csv
 
 from nav_core.records import Remark
 from server.errors import InvalidError
-from server.formats.columns import Columns, Floats, check_size
+from server.formats.columns import Columns, Floats, check_size, lines_of
 from server.formats.phone_sign import Sign, specific_force_sign
 from server.formats.tables import column_of
 from server.formats.thesis_line import held
@@ -82,7 +82,7 @@ def read(body: bytes, *, max_decoded_bytes: int | None) -> Columns:
     sources = _sources(header)
     if not any(source.name == "t" for source in sources):
         raise InvalidError("No column of the header is a time", code="phone_csv")
-    check_size(body.count(b"\n") + 1, len(sources), max_decoded_bytes)
+    check_size(lines_of(body), len(sources), max_decoded_bytes)
     values = _values(body, header, delimiter, sources)
     remarks: list[Remark] = []
     taken: dict[str, Floats] = {}

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from server.errors import InvalidError
-from server.formats.columns import Columns, Floats, check_size
+from server.formats.columns import Columns, Floats, check_size, lines_of
 
 FIELDS = 11
 STANDARD_GRAVITY = 9.81
@@ -38,9 +38,10 @@ def _numbers(line: str) -> list[float] | None:
 def read(body: bytes, *, max_decoded_bytes: int | None = None, course_clockwise: bool = False) -> Columns:
     """Columns of such a file; a GPS report that is held over the following rows is taken once."""
     # Lists of Python floats stand for a while where the columns will be.
-    check_size(4 * (body.count(b"\n") + 1), FIELDS, max_decoded_bytes)
+    check_size(4 * lines_of(body), FIELDS, max_decoded_bytes)
     rows: list[list[float]] = []
-    for number, line in enumerate(body.decode("ascii", "replace").splitlines(), start=1):
+    for number, raw in enumerate(body.splitlines(), start=1):
+        line = raw.decode("ascii", "replace")
         if not line.strip():
             continue
         row = _numbers(line)

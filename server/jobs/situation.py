@@ -31,6 +31,10 @@ from server.models import (
 
 CHUNK = 256
 
+ROUND_ROWS = 4_000_000
+"""Rows of a round's batches, unless one alone has more: bounds a round's memory, whatever a box packs into a batch.
+Sixty-four batches of five minutes at 200 Hz have fewer."""
+
 
 @dataclass(frozen=True, slots=True)
 class Situation:
@@ -51,7 +55,9 @@ class Situation:
 
 
 def read_situation(session: Session, device_id: str, limit: int) -> Situation | None:
-    """Read what one round needs, at most `limit` batches in the order of arrival; None for an unknown device.
+    """Read what one round needs, at most `limit` batches in the order of arrival and no more than `ROUND_ROWS`.
+
+    None for an unknown device.
 
     Bursts come first, and in a round of their own: nobody who waits for a report waits for a backlog too.
     """
@@ -66,6 +72,7 @@ def read_situation(session: Session, device_id: str, limit: int) -> Situation | 
     alone = bool(batches)
     if not alone:
         batches = session.scalars(in_order).all()
+    taken = _that_fit(batches[:limit], ROUND_ROWS)
     installations = (
         select(Installation)
         .where(Installation.device_id == device_id)
@@ -80,14 +87,20 @@ def read_situation(session: Session, device_id: str, limit: int) -> Situation | 
         version=state.version if state else None,
         device=device,
         state=state,
-        batches=batches[:limit],
+        batches=taken,
         boots={boot.boot: boot for boot in session.scalars(select(Boot).where(Boot.device_id == device_id))},
         installations=list(session.scalars(installations)),
         assignments=session.scalars(assignments).all(),
-        more=len(batches) > limit or (alone and _is_due(session, device_id)),
+        more=len(batches) > len(taken) or (alone and _is_due(session, device_id)),
         last_arrival=session.scalar(select(func.max(Batch.received_at)).where(Batch.device_id == device_id)),
         traffic_sides={vehicle_id: cast("TrafficSide | None", side) for vehicle_id, side in session.execute(vehicles)},
     )
+
+
+def _that_fit(batches: Sequence[Batch], most_rows: int) -> Sequence[Batch]:
+    """The first batches up to so many rows, at least one."""
+    rows = np.cumsum([batch.rows for batch in batches])
+    return batches[: max(1, int(np.searchsorted(rows, most_rows, side="right")))]
 
 
 def _is_due(session: Session, device_id: str) -> bool:

@@ -60,8 +60,9 @@ class Batch(Base):
     body_sha256: Mapped[str] = mapped_column(String(64))
     column_sha256: Mapped[str] = mapped_column(String(64))
     blob_sha256: Mapped[str | None] = mapped_column(String(64))
-    """Of the blob's bytes as they were written: tells quickly that they are still those.  Where another batch with the
-    same columns wrote the blob anew, or none was kept yet, the hash of the columns tells."""
+    """Of the blob's bytes as they were written: tells quickly that they are still those.  Of two batches
+    that share a blob, written by two versions, one has the hash of other bytes, and those of before have none: for
+    them the hash of the columns tells."""
     blob_key: Mapped[str] = mapped_column(String(300))
     body_key: Mapped[str | None] = mapped_column(String(300))
     stored_bytes: Mapped[int]

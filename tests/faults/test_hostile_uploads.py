@@ -56,6 +56,11 @@ HOSTILE = {
     "deep JSON": (b'{"columns":' + b"[" * 200_000, {}, 422),
     "deep objects": (b'{"columns":{"t":' * 50_000, {}, 422),
     "many commas": (b"[" + b"," * (9 * MEGABYTE) + b"]", {}, 413),
+    "many lines that end in CR": (
+        gzip.compress(b"t\n" + b"0\r" * (30 * MEGABYTE)),
+        {"Content_Encoding": "gzip", "Content_Type": "text/csv"},
+        413,
+    ),
     "NaN": (b'{"columns": {"t": [NaN]}}', {}, 422),
     "infinity": (b'{"columns": {"t": [1e999]}}', {}, 422),
     "a number without end": (b'{"columns": {"t": [' + b"9" * 100_000 + b"]}}", {}, 422),

@@ -239,7 +239,7 @@ def test_the_first_sign_in_is_printed_until_somebody_is_in(database, clock):
         assert first != second
         assert session.scalar(sa.select(sa.func.count()).select_from(SignInCode)) == 1
     with database.transaction() as session:
-        service.redeem(session, second, now=clock())
+        service.redeem(session, second, now=clock(), address="192.0.2.1")
     with database.transaction() as session:
         assert first_sign_in(session, now=clock()) is None
     clock.advance(hours=13)

@@ -132,8 +132,10 @@ def test_metrics_count_by_template(client, admin, make_device):
     for _ in range(2):
         assert client.post("/api/v1/batches", json={"columns": FORCE}, headers=headers).status_code == 202
     client.get("/no/such/place")
+    client.post("/api/v1/batches", json={"columns": FORCE})
     text = client.get("/metrics").text
     assert 'scatola_requests_total{method="GET",route="/api/v1/devices/{device_id}",status="200"} 1.0' in text
+    assert 'scatola_requests_total{method="POST",route="/api/v1/batches",status="401"} 1.0' in text
     assert 'scatola_batches_total{outcome="accepted"} 1.0' in text
     assert 'scatola_batches_total{outcome="duplicate"} 1.0' in text
     assert "scatola_batch_rows_total 2.0" in text

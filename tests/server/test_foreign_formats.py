@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import struct
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from nav_core.simulate import Scenario, simulate
 from server.errors import InvalidError, TooLargeError
 from server.formats.codec8e import _crc16
 from server.formats.columns import Columns
-from server.formats.decode import decode
+from server.formats.decode import decode, load
 from server.formats.drive import DriveFileError, from_drive, read_drive_columns, read_drive_file
 from tests.recordings import corolla, folder, loose_phone
 
@@ -32,6 +33,24 @@ def read(media_type: str, body: bytes) -> Columns:
 
 def codes(columns: Columns) -> set[str]:
     return {remark.code for remark in columns.remarks}
+
+
+@pytest.mark.parametrize("end", [b"\n", b"\r", b"\r\n"])
+@pytest.mark.parametrize(
+    ("media_type", "line"),
+    [("text/csv", b"0,"), (NMEA, b"$GPGGA,"), (NMEA, b""), (THESIS, b"1 2 3 4 5 6 7 8 9 1 2")],
+)
+def test_lines_are_counted_before_they_are_made(media_type, line, end):
+    """A body of nothing but lines unpacks from a thousandth of its size, and each would be an object."""
+    begin = b"t,battery\n" if media_type == "text/csv" else b""
+    body = begin + (line + end) * (2 * MEGABYTE)
+    load()
+    tracemalloc.start()
+    with pytest.raises(TooLargeError):
+        read(media_type, body)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < MEGABYTE
 
 
 # --- Codec 8 Extended

@@ -9,6 +9,7 @@ from fleet_world import Leg, World, cut, drive_of
 from sqlalchemy import select
 
 from server.database import Database
+from server.events import queries as event_queries
 from server.formats.columns import Columns
 from server.jobs import situation as reads
 from server.jobs.due import due_devices
@@ -252,7 +253,6 @@ def test_a_swap_ends_the_installation_and_data_after_it_count_for_the_new_vehicl
 
 
 @both
-@both
 @pytest.mark.parametrize("blob_sha256", [None, "0" * 64])
 def test_a_blob_that_other_bytes_make_up_is_told_whole_by_its_columns(world, blob_sha256):
     """A batch from before blobs were hashed, and one whose blob an equal batch has written anew since."""
@@ -263,6 +263,7 @@ def test_a_blob_that_other_bytes_make_up_is_told_whole_by_its_columns(world, blo
     assert world.one(Batch).failure is None
 
 
+@both
 @pytest.mark.parametrize("damage", ["missing", "garbage", "other"])
 def test_a_batch_that_cannot_be_read_is_remarked_and_stops_nobody(world, damage):
     batches = cut(drive_of(*CITY))
@@ -530,6 +531,39 @@ def test_a_long_backlog_is_worked_off_in_rounds(world):
     outcome = world.bring_up()
     assert (outcome.batches, outcome.more) == (64, True)
     assert world.bring_up().batches == len(batches) - 64
+
+
+def test_large_batches_make_small_rounds(world, monkeypatch):
+    """Whatever a box packs into a batch; one that alone is more than a round may have is worked off all the same."""
+    batches = cut(drive_of(*CITY))[:5]
+    monkeypatch.setattr(reads, "ROUND_ROWS", 2 * max(batch.rows for batch in batches))
+    put_all(world, batches)
+    outcomes = [world.bring_up() for _ in range(3)]
+    assert [(outcome.batches, outcome.more) for outcome in outcomes] == [(2, True), (2, True), (1, False)]
+    monkeypatch.setattr(reads, "ROUND_ROWS", 1)
+    put_all(world, batches, boot="again")
+    assert (world.bring_up().batches, world.unprocessed()) == (1, 4)
+
+
+def test_of_many_batches_at_one_time_the_newest_are_read(world, monkeypatch):
+    """A box whose clock begins anew without another name of the boot has ever more batches at every time."""
+    batch = cut(drive_of(*CITY))[0]
+    put_all(world, [batch] * 6)
+    t = batch.values["t"]
+
+    def around() -> list[int]:
+        with world.database.reading() as session:
+            return [
+                each.sequence for each in event_queries.batches_between(session, world.device_id, "boot", t[0], t[-1])
+            ]
+
+    assert around() == [0, 1, 2, 3, 4, 5]
+    monkeypatch.setattr(event_queries, "AROUND_ROWS", 3 * batch.rows)
+    assert around() == [3, 4, 5]
+    monkeypatch.setattr(event_queries, "AROUND_BATCHES", 2)
+    assert around() == [4, 5]
+    monkeypatch.setattr(event_queries, "AROUND_ROWS", 1)
+    assert around() == [5]
 
 
 def test_an_estimate_reads_no_more_than_its_window(world):

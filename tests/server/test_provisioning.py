@@ -154,6 +154,17 @@ def test_a_signed_request_shows_no_token(client, admin, make_device, clock):
     assert signed(client, device_id, token, now, sequence=4).status_code == 401
 
 
+def test_the_first_signature_by_a_new_token_ends_the_old_one(client, make_device, clock):
+    device_id, token = make_device()
+    now = int(clock().timestamp())
+    new = client.post("/api/v1/device/token", headers=bearer(token)).json()["token"]
+    assert signed(client, device_id, token, now).status_code == 202
+    assert signed(client, device_id, new, now, sequence=1).status_code == 202
+    assert signed(client, device_id, token, now, sequence=2).status_code == 401
+    assert client.get("/api/v1/device", headers=bearer(token)).status_code == 401
+    assert client.get("/api/v1/device", headers=bearer(new)).status_code == 200
+
+
 def test_a_signature_gives_no_token_away(client, make_device, clock):
     device_id, token = make_device()
     path = "/api/v1/device/token"

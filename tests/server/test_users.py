@@ -12,6 +12,7 @@ import sqlalchemy as sa
 
 from server.accounts.secrets import hash_of
 from server.models import ApiKey, AuditEntry, User, WebSession
+from tests.conftest import ADMIN_TOKEN
 
 pytestmark = pytest.mark.both_databases
 PASSWORD = "correct horse battery"
@@ -138,6 +139,21 @@ def test_a_forgotten_password_is_replaced_with_a_code(ada, admin, address, clien
         assert again.put("/api/v1/account/password", json={"new": PASSWORD}).status_code == 401
     assert client.post("/api/v1/auth/session", json={"code": code}).status_code == 401
     assert try_to_sign_in(client, password="a fresh long password").status_code == 201
+
+
+@pytest.mark.usefixtures("ada")
+def test_who_signs_in_and_changes_people_is_on_record_with_the_address(admin, address):
+    with closing(signed_in(address, code=ADMIN_TOKEN)) as by_token:
+        assert by_token.post("/api/v1/users", json={"email": "c@fleet.test", "name": "C", "role": "reader"}).is_success
+    entries = admin.get("/api/v1/audit").json()["items"]
+    told = {(each["action"], each["actor_name"], each["detail"].get("by"), each["address"]) for each in entries}
+    assert told >= {
+        ("sign_in", EMAIL, "code", "127.0.0.1"),
+        ("sign_in", "administrator", "administrator's token", "127.0.0.1"),
+        ("user.added", "administrator's token", None, "127.0.0.1"),
+        ("user.added", "administrator", None, "127.0.0.1"),
+        ("password.changed", EMAIL, None, "127.0.0.1"),
+    }
 
 
 def test_a_disabled_user_is_out_at_once(ada, admin, address, client):
