@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from nav_core.mounting.fixes import COARSE, clear_part
 from nav_core.mounting.model import (
     ANTENNA_Y,
     GRAVITY,
@@ -24,17 +25,7 @@ from nav_core.mounting.model import (
     columns_of,
     first_order,
 )
-from nav_core.mounting.stretch import (
-    COARSE,
-    Record,
-    Steps,
-    at,
-    clear_part,
-    gained,
-    rough_share,
-    smoothed,
-    steps_of,
-)
+from nav_core.mounting.stretch import Record, Steps, at, gained, rough_share, smoothed, steps_of
 from nav_core.mounting.whitening import Channel
 from nav_core.typing import Floats
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from nav_core.mounting.blows import Blow, blows, cut_out
 from nav_core.mounting.confidence import Confidence, assess
+from nav_core.mounting.fixes import usable_fixes
 from nav_core.mounting.model import COURSE_LAG, SPEED_LAG, Noise, less_crown
 from nav_core.mounting.moved import Piece, pieces_of
 from nav_core.mounting.quality import (
@@ -29,7 +30,7 @@ from nav_core.mounting.reasons import reason
 from nav_core.mounting.refine import Fit
 from nav_core.mounting.self_test import self_test
 from nav_core.mounting.solution import Solution
-from nav_core.mounting.stretch import Record, prepare, usable_fixes
+from nav_core.mounting.stretch import Record, prepare
 from nav_core.mounting.trouble import (
     BENDS,
     FOLLOWED,

@@ -15,8 +15,9 @@ from scipy.signal import lfilter
 
 from nav_core.mounting import UnknownMethodError, estimate_mounting
 from nav_core.mounting.closed_form import start
+from nav_core.mounting.fixes import usable_fixes
 from nav_core.mounting.model import Noise
-from nav_core.mounting.stretch import prepare, usable_fixes
+from nav_core.mounting.stretch import prepare
 from nav_core.mounting.whole_drive import analyse, estimate
 from nav_core.records import Drive, Gnss, Inertial, MountingEstimate
 from nav_core.rotation import angle_between, error_between
