@@ -206,6 +206,10 @@ def at(record: Record, when: Floats, values: Floats) -> Floats:
     return values[left] + share * (values[right] - values[left])
 
 
+LONGEST_HOLE = 10.0
+"""Between fixes further apart nothing is followed, s: what the road did to the speed, and stops, is anyone's guess."""
+
+
 class Steps(NamedTuple):
     """From fix to fix at one lag: durations, distances, and where the thread breaks."""
 
@@ -215,7 +219,7 @@ class Steps(NamedTuple):
     distance: Floats
     """m."""
     broken: Flags
-    """Accelerometer data are missing in the step."""
+    """Accelerometer data are missing in the step, or fixes for longer than `LONGEST_HOLE`."""
 
 
 def steps_of(record: Record, lag: float) -> Steps:
@@ -239,7 +243,7 @@ def steps_of(record: Record, lag: float) -> Steps:
     covered[0] = 0.0
     speed = record.fixes.speed
     before = np.concatenate([speed[:1], speed[:-1]])
-    broken = np.abs(elapsed - covered) > 0.15
+    broken = (np.abs(elapsed - covered) > 0.15) | (elapsed > LONGEST_HOLE)
     broken[0] = True
     return Steps(when, covered, 0.5 * (speed + before) * elapsed, broken)
 
