@@ -114,7 +114,7 @@ def _of(
         covariance = covariance + apart @ apart.T
     codes = {each.code for each in estimate.reasons}
     right_handed = evidence.handed >= HANDED or "handedness_trusted" in codes
-    sure = right_handed and bool(np.sqrt(np.diag(covariance)).max() < CONVERGED)
+    sure = right_handed and "startled" not in codes and bool(np.sqrt(np.diag(covariance)).max() < CONVERGED)
     return replace(
         estimate,
         status="ready" if sure else "settling",

@@ -12,7 +12,7 @@ from nav_core.mounting.blows import Blow, blows, cut_out
 from nav_core.mounting.confidence import Confidence, assess
 from nav_core.mounting.fixes import usable_fixes
 from nav_core.mounting.model import COURSE_LAG, SPEED_LAG, Noise, less_crown
-from nav_core.mounting.moved import Piece, pieces_of
+from nav_core.mounting.moved import Piece, pieces_of, startled
 from nav_core.mounting.quality import (
     LAG_KNOWN,
     SWAY,
@@ -128,6 +128,8 @@ def analyse(ticks: Ticks, gnss: Gnss, *, noise: Noise | None = None) -> Analysis
             verdict = LOOSE
         found_wanting = _without(verdict, changes, remarks)
         return Analysis(replace(found_wanting, reasons=explained(found_wanting.reasons, ticks)), None)
+    if verdict.status == "ready" and startled(last.solution.fit):
+        verdict = verdict.held_back("startled")
     if handed < HANDED:
         if bends or offered.followed <= TRUSTED_AFTER:
             unfollowed = offered.followed < FOLLOWED * offered.moving
