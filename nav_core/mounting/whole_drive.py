@@ -128,7 +128,7 @@ def analyse(ticks: Ticks, gnss: Gnss, *, noise: Noise | None = None) -> Analysis
             verdict = LOOSE
         found_wanting = _without(verdict, changes, remarks)
         return Analysis(replace(found_wanting, reasons=explained(found_wanting.reasons, ticks)), None)
-    if verdict.status == "ready" and startled(last.solution.fit):
+    if startled(last.solution.fit):
         verdict = verdict.held_back("startled")
     if handed < HANDED:
         if bends or offered.followed <= TRUSTED_AFTER:
