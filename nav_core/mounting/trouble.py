@@ -25,6 +25,7 @@ from nav_core.mounting.refine import HUBER, Fit, refine, weigh
 from nav_core.mounting.reversing import reversals
 from nav_core.mounting.solution import EXCERPT, Solution, excerpt
 from nav_core.mounting.stretch import Record, Span
+from nav_core.mounting.stuck import stuck_axis
 from nav_core.records import Gnss, Reason
 from nav_core.rotation import angle_between
 from nav_core.signal import KERNEL_TICKS, Ticks
@@ -39,11 +40,6 @@ UNIT_SHARE = 0.15
 
 FLICKER = 0.35
 """Without gravity the magnitude of what is left varies by this share of its median."""
-
-STUCK = 20.0
-SHAKEN = 0.3
-"""An axis that gives one and the same number for so long, s, while force about all axes scatters by so much, m/s²,
-is broken: vibration reaches every axis of a box in a car."""
 
 SLOW_FIXES = 1.3
 SLOW_SAMPLES = 15.0
@@ -188,36 +184,6 @@ def _dead(ticks: Ticks, middle: float) -> Reason | None:
         return reason("dead_accelerometer")
     stuck = sum(span.end - span.begin for span in stuck_axis(ticks))
     return reason("dead_axis") if stuck > 0.5 * (ticks.t[-1] - ticks.t[0]) else None
-
-
-def stuck_axis(ticks: Ticks) -> tuple[Span, ...]:
-    """Stretches in which one axis of the accelerometer, or two, stay at a number while another feels the drive.
-
-    Parameters
-    ----------
-    ticks : Ticks
-        Of the specific force.
-
-    Returns
-    -------
-    tuple of Span
-        In order of time.
-    """
-    valid = ticks.valid
-    t, f, scatter = ticks.t[valid], ticks.f[valid], ticks.scatter[valid]
-    spans: list[Span] = []
-    for axis in range(3):
-        # Means of equal samples differ by their rounding.
-        same = np.abs(np.diff(f[:, axis])) < 1e-9
-        edges = np.flatnonzero(np.diff(np.concatenate([[0], same.astype(np.int8), [0]])))
-        for first, last in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
-            part = slice(first, last + 1)
-            if t[last] - t[first] < STUCK:
-                continue
-            shaking = f[part].var(axis=0).sum() + np.mean(scatter[part] ** 2)
-            if shaking > SHAKEN**2 and not any(span.begin <= t[first] and t[last] <= span.end for span in spans):
-                spans.append(Span(float(t[first]), float(t[last])))
-    return tuple(sorted(spans))
 
 
 def unshaken(ticks: Ticks, fixes: Fixes) -> tuple[Span, ...]:
