@@ -13,8 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from nav_core.mounting.fixes import FOLLOW_SPEED, Fixes
 from nav_core.mounting.model import GRAVITY
-from nav_core.mounting.stretch import FOLLOW_SPEED, Fixes, Record, Span
+from nav_core.mounting.stretch import Record, Span
 from nav_core.signal import Ticks, first_not_before
 from nav_core.typing import Flags, Floats
 

@@ -11,9 +11,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from nav_core.mounting.fixes import usable_fixes
 from nav_core.mounting.model import TURN, UNKNOWNS, Noise, prior
 from nav_core.mounting.refine import view_of, weigh
-from nav_core.mounting.stretch import FOLDS, prepare, usable_fixes
+from nav_core.mounting.stretch import FOLDS, prepare
 from nav_core.signal import decimate
 from nav_core.simulate import Scenario, simulate
 from nav_core.typing import Floats

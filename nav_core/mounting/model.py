@@ -23,7 +23,8 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from nav_core.mounting.stretch import Record, followed, smoothed
+from nav_core.mounting.fixes import followed
+from nav_core.mounting.stretch import Record, smoothed
 from nav_core.typing import Flags, Floats, Integers
 
 GRAVITY = 9.80665

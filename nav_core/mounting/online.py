@@ -14,6 +14,7 @@ import numpy as np
 
 from nav_core.errors import ShapeError
 from nav_core.mounting.closed_form import level_basis
+from nav_core.mounting.fixes import Fixes, gps_rate, unrolled
 from nav_core.mounting.online_hypotheses import adapted, likely, likely_bias, settled, stack
 from nav_core.mounting.online_kernel import run
 from nav_core.mounting.online_model import (
@@ -31,7 +32,7 @@ from nav_core.mounting.online_stream import Chunk, fixes_where, joined, jumped_b
 from nav_core.mounting.online_tally import PIECE, Tally, heard, moved_on, noted, piece_of, strangeness
 from nav_core.mounting.online_watch import Move, Watch, looked_after
 from nav_core.mounting.reasons import reason
-from nav_core.mounting.stretch import Fixes, Record, gps_rate, unrolled
+from nav_core.mounting.stretch import Record
 from nav_core.mounting.trouble import wrong_unit
 from nav_core.records import Gnss, Reason
 from nav_core.signal import Ticks, merge

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from nav_core.mounting.fixes import Fixes, clear_part, gps_rate, unrolled, usable_fixes
 from nav_core.mounting.online_model import (
     ACCELERATION,
     BROKEN,
@@ -36,17 +37,7 @@ from nav_core.mounting.online_model import (
     WAY,
     Tuning,
 )
-from nav_core.mounting.stretch import (
-    Fixes,
-    Record,
-    at,
-    clear_part,
-    gained_between,
-    gps_rate,
-    prepare,
-    unrolled,
-    usable_fixes,
-)
+from nav_core.mounting.stretch import Record, at, gained_between, prepare
 from nav_core.records import Gnss
 from nav_core.signal import Ticks
 from nav_core.typing import Flags, Floats, Integers

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nav_core.mounting.moved import LEAST_ANGLE, SURE
+from nav_core.mounting.moved import LEAST_ANGLE, LEAST_NEWS, STARTLING, SURE
 from nav_core.mounting.online_model import (
     BIAS,
     HEIGHT,
@@ -49,11 +49,6 @@ estimate is not called ready."""
 
 LEAST_SUSPECT = np.radians(2.0)
 """A smaller difference raises no suspicion, rad."""
-
-STARTLING = 5.0
-LEAST_NEWS = 4.0
-"""Mean square of a piece's normalised innovations of one kind, at least so many of them, that an ordinary drive hardly
-reaches: rough roads, poor fixes and bends stay under 3.5 in 99 of 100 pieces."""
 
 ANY_TILT = 0.5
 """Of the mounting once the filter is startled, rad: nobody has levelled it since."""

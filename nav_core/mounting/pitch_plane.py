@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from nav_core.mounting.fixes import COARSE, clear_part
 from nav_core.mounting.model import (
     ANTENNA_Y,
     GRAVITY,
@@ -24,17 +25,7 @@ from nav_core.mounting.model import (
     columns_of,
     first_order,
 )
-from nav_core.mounting.stretch import (
-    COARSE,
-    Record,
-    Steps,
-    at,
-    clear_part,
-    gained,
-    rough_share,
-    smoothed,
-    steps_of,
-)
+from nav_core.mounting.stretch import Record, Steps, at, gained, rough_share, smoothed, steps_of
 from nav_core.mounting.whitening import Channel
 from nav_core.typing import Floats
 
@@ -120,13 +111,18 @@ def pitch_system(
     )
     lost = np.where(steps.broken, 1e4, 0.0)
     shaken = noise.force**2 * steps.dt + grain
+    # What of the mean slope does not follow from its begin; in short steps the receiver's noise hides it.
+    mean = slope * 2.0 * (2.0 * z - 3.0 + (z + 3.0) * np.exp(-z)) / z**2
+    far = elapsed > LONGEST_STEP
+    unseen = np.where(far, np.maximum(mean - of_slope**2 * slope - of_curve**2 * curve, 0.0), 0.0)
     Q = np.empty((11, count))
-    Q[V] = shaken + (noise.relative * change) ** 2 + lost
-    Q[CLIMB] = shaken + lost
+    Q[V] = shaken + (noise.relative * change) ** 2 + (GRAVITY * steps.dt) ** 2 * unseen + lost
+    # Braking and bends tilt with the slope and bank of their moment, not with those at the ends of the step.
+    Q[CLIMB] = shaken + np.where(far, 1e4, lost)
     Q[SLOPE] = slope - (ss * slope * ss + sc * curve * sc)
     Q[CURVE] = curve - (cs * slope * cs + cc * curve * cc)
     # Over a long gap the vehicle may have got anywhere, by a ramp, a train, or a reset of the receiver.
-    Q[HEIGHT] = (0.02 * d) ** 2 * steps.broken + np.where(elapsed > LONGEST_STEP, 1e4, 0.0)
+    Q[HEIGHT] = (0.02 * d) ** 2 * steps.broken + np.where(far, 1e4, 0.0)
     Q[SPEED_ERROR] = speed_fresh * noise.speed_slow**2
     Q[HEIGHT_ERROR] = height_fresh * noise.height_slow**2
     Q[TILT] = (1.0 - along**2) * noise.bank**2

@@ -8,10 +8,11 @@ import numpy as np
 
 from nav_core.mounting.closed_form import Start
 from nav_core.mounting.confidence import CONVERGED, Confidence
+from nav_core.mounting.fixes import FOLLOW_SPEED
 from nav_core.mounting.reasons import reason
 from nav_core.mounting.refine import BLOCK, Fit
 from nav_core.mounting.slip import by_stretch
-from nav_core.mounting.stretch import FOLLOW_SPEED, Record
+from nav_core.mounting.stretch import Record
 from nav_core.records import MountingStatus, Reason
 from nav_core.typing import Floats
 

@@ -21,6 +21,8 @@ REASONS = {
     "wrong_unit": "The accelerometer sends {} instead of m/s²: correct its unit.",
     "no_gravity": "The accelerometer sends acceleration without gravity: switch it to specific force.",
     "dead_accelerometer": "The accelerometer sends nothing but zeros.",
+    "dead_axis": "One axis of the accelerometer always sends the same number: the box needs repair.",
+    "stuck_axis": "One axis of the accelerometer stood still for {} s of driving; they were left out.",
     "mirrored": "The accelerometer's sign is inverted, or one of its axes is: correct the sign in the box.",
     "handedness_open": "Make two turns: the drive does not yet tell whether the accelerometer's signs are right.",
     "no_course": "The satellite receiver gives no course: whether the accelerometer's signs are right cannot be told.",

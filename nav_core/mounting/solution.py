@@ -8,10 +8,11 @@ import numpy as np
 
 from nav_core.mounting.adapt import adapted
 from nav_core.mounting.closed_form import Start, start
+from nav_core.mounting.fixes import Fixes
 from nav_core.mounting.model import Noise
 from nav_core.mounting.refine import HUBER, Fit, refine
 from nav_core.mounting.smoothing import as_received, smoothing_time
-from nav_core.mounting.stretch import Fixes, Record
+from nav_core.mounting.stretch import Record
 
 EXCERPT = 400.0
 """Length of the stretch that start and noise levels are taken from, s."""

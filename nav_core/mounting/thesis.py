@@ -13,10 +13,11 @@ from scipy.spatial.transform import Rotation
 from nav_core.errors import TooLittleDataError
 from nav_core.mounting.confidence import CONVERGED
 from nav_core.mounting.thesis_flow import TEST_DURATION, WINDOW, FlowChart, follow_flow_chart
-from nav_core.mounting.thesis_kernel import N_STATES, filter_drive, restart_vehicle
+from nav_core.mounting.thesis_kernel import filter_drive, restart_vehicle
 from nav_core.mounting.thesis_model import (
     LEVEL_TILT,
     MOVING,
+    N_STATES,
     THESIS_PERIOD,
     YAW_STEP,
     Errata,

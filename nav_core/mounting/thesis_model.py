@@ -26,6 +26,7 @@ THESIS_PERIOD = 0.25
 MOVING = 1.5
 """m/s; below it the receiver's course is noise, so the last one is held."""
 
+N_STATES = 9
 
 VEHICLE_START = (0.3, 4.0, 0.01, 0.0025, 0.0025, 0.01)
 """Variances of v_x, a_x, omega_z and a_V of a vehicle set on its course (correction of 5.2): (0.55 m/s)², (2 m/s²)²,

@@ -90,7 +90,7 @@ def told_of(ticks: Ticks, gnss: Gnss, past: TripEvidence | None, noise: Noise) -
     return Told(known if share == 1.0 else _doubted(known), own, share)
 
 
-_REFUSED = frozenset({"wrong_unit", "no_gravity", "dead_accelerometer", "mirrored"})
+_REFUSED = frozenset({"wrong_unit", "no_gravity", "dead_accelerometer", "dead_axis", "mirrored"})
 
 
 def _doubted(estimate: MountingEstimate) -> MountingEstimate:
@@ -114,7 +114,7 @@ def _of(
         covariance = covariance + apart @ apart.T
     codes = {each.code for each in estimate.reasons}
     right_handed = evidence.handed >= HANDED or "handedness_trusted" in codes
-    sure = right_handed and bool(np.sqrt(np.diag(covariance)).max() < CONVERGED)
+    sure = right_handed and "startled" not in codes and bool(np.sqrt(np.diag(covariance)).max() < CONVERGED)
     return replace(
         estimate,
         status="ready" if sure else "settling",

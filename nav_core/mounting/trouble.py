@@ -17,13 +17,15 @@ import numpy as np
 
 from nav_core.mounting.clocks import clock_jumps
 from nav_core.mounting.closed_form import start
+from nav_core.mounting.fixes import FOLLOW_SPEED, Fixes
 from nav_core.mounting.model import GRAVITY, Noise
 from nav_core.mounting.quality import excitation, fits_a_car
 from nav_core.mounting.reasons import reason
 from nav_core.mounting.refine import HUBER, Fit, refine, weigh
 from nav_core.mounting.reversing import reversals
 from nav_core.mounting.solution import EXCERPT, Solution, excerpt
-from nav_core.mounting.stretch import FOLLOW_SPEED, Fixes, Record, Span
+from nav_core.mounting.stretch import Record, Span
+from nav_core.mounting.stuck import stuck_axis
 from nav_core.records import Gnss, Reason
 from nav_core.rotation import angle_between
 from nav_core.signal import KERNEL_TICKS, Ticks
@@ -137,10 +139,13 @@ def inspect(ticks: Ticks, gnss: Gnss, fixes: Fixes) -> Trouble:
     for remark in (frozen(gnss), slow_fixes(gnss), slow_samples(ticks)):
         if remark is not None:
             remarks.append(remark)
+    stuck = stuck_axis(ticks)
+    if stuck:
+        remarks.append(reason("stuck_axis", f"{sum(span.end - span.begin for span in stuck):.0f}"))
     aboard = unshaken(ticks, fixes)
     if aboard:
         remarks.append(reason("aboard", f"{sum(span.end - span.begin for span in aboard) / 60.0:.0f}"))
-    return Trouble(None, tuple(remarks), tuple(sorted((*torn, *backwards, *aboard))))
+    return Trouble(None, tuple(remarks), tuple(sorted((*torn, *backwards, *stuck, *aboard))))
 
 
 def wrong_unit(ticks: Ticks) -> Reason | None:
@@ -153,17 +158,17 @@ def wrong_unit(ticks: Ticks) -> Reason | None:
     Returns
     -------
     Reason or None
-        ``wrong_unit``, ``no_gravity`` or ``dead_accelerometer``; None when gravity is where it should be.
+        ``wrong_unit``, ``no_gravity``, ``dead_accelerometer`` or ``dead_axis``; None when gravity is where it
+        should be.
     """
     valid = ticks.valid
     if valid.sum() < 20:
         return None
     size = np.linalg.norm(ticks.f[valid], axis=1)
     middle = float(np.median(size))
-    if middle == 0.0:
-        return reason("dead_accelerometer")
-    if abs(middle / GRAVITY - 1.0) < UNIT_SHARE:
-        return None
+    dead = _dead(ticks, middle)
+    if dead is not None or abs(middle / GRAVITY - 1.0) < UNIT_SHARE:
+        return dead
     flicker = float(np.median(np.abs(size - middle))) / middle
     for name, gravity in UNITS.items():
         if abs(middle / gravity - 1.0) < UNIT_SHARE and flicker < FLICKER:
@@ -171,6 +176,14 @@ def wrong_unit(ticks: Ticks) -> Reason | None:
     if middle < 0.5 * GRAVITY and flicker > 0.5 * FLICKER:
         return reason("no_gravity")
     return reason("wrong_unit", f"numbers {float(f'{middle / GRAVITY:.2g}'):g} times as large")
+
+
+def _dead(ticks: Ticks, middle: float) -> Reason | None:
+    """Whether nothing comes from the accelerometer, by the median of its force, or from an axis most of the time."""
+    if middle == 0.0:
+        return reason("dead_accelerometer")
+    stuck = sum(span.end - span.begin for span in stuck_axis(ticks))
+    return reason("dead_axis") if stuck > 0.5 * (ticks.t[-1] - ticks.t[0]) else None
 
 
 def unshaken(ticks: Ticks, fixes: Fixes) -> tuple[Span, ...]:

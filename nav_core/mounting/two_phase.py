@@ -20,10 +20,11 @@ from scipy.spatial.transform import Rotation
 
 from nav_core.mounting.closed_form import level_basis
 from nav_core.mounting.confidence import CONVERGED, observability
+from nav_core.mounting.fixes import gps_rate, unrolled, usable_fixes
 from nav_core.mounting.model import GRAVITY
 from nav_core.mounting.quality import USELESS, too_little
 from nav_core.mounting.reasons import reason
-from nav_core.mounting.stretch import Record, gained_between, gps_rate, prepare, unrolled, usable_fixes
+from nav_core.mounting.stretch import Record, gained_between, prepare
 from nav_core.mounting.trouble import explained, wrong_unit
 from nav_core.records import Drive, MountingEstimate, Reason
 from nav_core.rotation import skew
@@ -85,7 +86,7 @@ def estimate(drive: Drive, road: Road | None = None) -> MountingEstimate:
     ----------
     drive : Drive
     road : Road, optional
-        At the usable fixes (`stretch.usable_fixes`) of the drive; a level road by default.
+        At the usable fixes (`fixes.usable_fixes`) of the drive; a level road by default.
 
     Returns
     -------

@@ -10,8 +10,9 @@ import numpy as np
 
 from nav_core.mounting.blows import Blow, blows, cut_out
 from nav_core.mounting.confidence import Confidence, assess
+from nav_core.mounting.fixes import usable_fixes
 from nav_core.mounting.model import COURSE_LAG, SPEED_LAG, Noise, less_crown
-from nav_core.mounting.moved import Piece, pieces_of
+from nav_core.mounting.moved import Piece, pieces_of, startled
 from nav_core.mounting.quality import (
     LAG_KNOWN,
     SWAY,
@@ -29,7 +30,7 @@ from nav_core.mounting.reasons import reason
 from nav_core.mounting.refine import Fit
 from nav_core.mounting.self_test import self_test
 from nav_core.mounting.solution import Solution
-from nav_core.mounting.stretch import Record, prepare, usable_fixes
+from nav_core.mounting.stretch import Record, prepare
 from nav_core.mounting.trouble import (
     BENDS,
     FOLLOWED,
@@ -127,6 +128,8 @@ def analyse(ticks: Ticks, gnss: Gnss, *, noise: Noise | None = None) -> Analysis
             verdict = LOOSE
         found_wanting = _without(verdict, changes, remarks)
         return Analysis(replace(found_wanting, reasons=explained(found_wanting.reasons, ticks)), None)
+    if startled(last.solution.fit):
+        verdict = verdict.held_back("startled")
     if handed < HANDED:
         if bends or offered.followed <= TRUSTED_AFTER:
             unfollowed = offered.followed < FOLLOWED * offered.moving

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from nav_core.mounting.fixes import Fixes, clear_part
 from nav_core.mounting.model import (
     ANTENNA_X,
     COURSE_LAG,
@@ -24,7 +25,7 @@ from nav_core.mounting.model import (
     first_order,
     per_step,
 )
-from nav_core.mounting.stretch import Fixes, Record, Steps, at, clear_part, gained, rough_share, steps_of
+from nav_core.mounting.stretch import Record, Steps, at, gained, rough_share, steps_of
 from nav_core.mounting.whitening import Channel
 from nav_core.typing import Flags, Floats
 

@@ -10,7 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from nav_core.mounting import estimate_mounting
 from nav_core.mounting.blows import AFTER, BEFORE, Blow, blows, cut_out
-from nav_core.mounting.stretch import prepare, usable_fixes
+from nav_core.mounting.fixes import usable_fixes
+from nav_core.mounting.stretch import prepare
 from nav_core.records import Drive, Gnss, Inertial
 from nav_core.rotation import angle_between
 from nav_core.signal import decimate

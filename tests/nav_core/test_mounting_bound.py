@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from nav_core.mounting.bound import mounting_bound
+from nav_core.mounting.fixes import usable_fixes
 from nav_core.mounting.model import Noise
 from nav_core.mounting.solution import solve
-from nav_core.mounting.stretch import prepare, usable_fixes
+from nav_core.mounting.stretch import prepare
 from nav_core.rotation import error_between
 from nav_core.signal import decimate
 from nav_core.simulate import Scenario, simulate

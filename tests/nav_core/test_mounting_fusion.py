@@ -9,11 +9,12 @@ import pytest
 
 from nav_core.errors import ShapeError
 from nav_core.mounting.again import BIAS_AGAIN, TURN_AGAIN
+from nav_core.mounting.fixes import usable_fixes
 from nav_core.mounting.fusion import TripEvidence, disagreement, joined, solved, trip_evidence
 from nav_core.mounting.model import MILLI_G, Noise
 from nav_core.mounting.refine import Fit
 from nav_core.mounting.solution import solve
-from nav_core.mounting.stretch import prepare, usable_fixes
+from nav_core.mounting.stretch import prepare
 from nav_core.records import Inertial
 from nav_core.rotation import error_between
 from nav_core.signal import decimate

@@ -45,6 +45,19 @@ def test_a_change_of_heading_alone_is_found():
     assert np.degrees(angle_between(found.R_va, truth.R_va)) < 4.0
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_a_box_turned_just_before_the_end_is_not_called_ready(seed: int):
+    """There is too little after it to tell the new mounting by, and the old one no longer holds."""
+    move = Move(t=280.0, turn=tuple(np.radians(20.0) * _axis(seed)))
+    drive, truth = simulate(Scenario(duration=300.0, accel_rate=50.0, moves=(move,)), seed=40 + seed)
+    found = estimate_mounting(drive)
+    assert found.status != "ready" or np.degrees(angle_between(found.R_va, truth.R_va)) < 4.0  # type: ignore[arg-type]
+    if found.status == "settling":
+        assert "startled" in {reason.code for reason in found.reasons}
+    stayed, _ = simulate(Scenario(duration=300.0, accel_rate=50.0), seed=40 + seed)
+    assert estimate_mounting(stayed).status == "ready"
+
+
 @pytest.mark.parametrize("outage", [(200.0, 400.0), (230.0, 380.0), (200.0, 365.0)])
 def test_a_box_that_is_turned_in_a_tunnel(outage: tuple[float, float]):
     """The change of tilt shows at a moment that no fix is near."""

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from nav_core.mounting.fixes import Fixes
 from nav_core.mounting.model import TURN, UNKNOWNS, Noise
 from nav_core.mounting.refine import BLOCK, Fit, view_of
 from nav_core.mounting.slip import steady_slip
-from nav_core.mounting.stretch import PAUSE, Fixes, Record
+from nav_core.mounting.stretch import PAUSE, Record
 
 BLOCKS = 180
 SIGMA = np.radians(1.0)

@@ -7,10 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from nav_core.mounting.fixes import usable_fixes
 from nav_core.mounting.model import UNLIKE_GAIN, Noise
 from nav_core.mounting.smoothing import as_received, low_passed
 from nav_core.mounting.solution import Solution, matched, solve
-from nav_core.mounting.stretch import Record, prepare, usable_fixes
+from nav_core.mounting.stretch import Record, prepare
 from nav_core.mounting.whole_drive import estimate
 from nav_core.rotation import error_between
 from nav_core.signal import decimate

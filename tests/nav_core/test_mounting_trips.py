@@ -14,7 +14,7 @@ from nav_core.mounting.trips import Told, told_of
 from nav_core.records import Inertial
 from nav_core.rotation import angle_between, error_between
 from nav_core.signal import decimate
-from nav_core.simulate import Scenario, random_rotation, simulate
+from nav_core.simulate import Move, Scenario, random_rotation, simulate
 
 R_VA = random_rotation(np.random.default_rng(77))
 CITY = Scenario(route="urban", duration=240.0, R_va=R_VA, accel_rate=50.0, accel_bias=0.0, crown=0.012)
@@ -60,6 +60,14 @@ def test_a_box_turned_between_trips_begins_anew(past, axis):
     assert np.degrees(change.angle) == pytest.approx(8.0, abs=1.5)
     assert np.degrees(angle_between(told.estimate.R_va, moved)) < 2.0
     assert np.degrees(angle_between(change.before, R_VA)) < 1.5
+
+
+@pytest.mark.parametrize("seed", [8, 9])
+def test_a_box_pitched_at_the_end_of_a_trip_is_not_ready_by_what_was_known_before(past, seed: int):
+    move = Move(t=222.0, turn=tuple(0.5 * R_VA[1]))
+    told = _trip(replace(CITY, moves=(move,)), seed, past)
+    assert told.estimate.status == "settling"
+    assert "startled" in {reason.code for reason in told.estimate.reasons}
 
 
 @pytest.mark.parametrize(("time", "duration", "seed", "low_pass"), [(1.0, 120.0, 31, True), (0.5, 60.0, 43, False)])

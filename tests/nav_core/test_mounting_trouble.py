@@ -13,6 +13,7 @@ from nav_core.mounting.clocks import clock_jumps
 from nav_core.mounting.fusion import joined
 from nav_core.mounting.model import Noise
 from nav_core.mounting.reversing import reversals
+from nav_core.mounting.stuck import stuck_axis
 from nav_core.mounting.trips import told_of
 from nav_core.mounting.trouble import frozen, sampling_rate
 from nav_core.records import Drive, Gnss, Inertial, MountingEstimate
@@ -244,6 +245,37 @@ def test_every_method_refuses_what_is_no_specific_force(mangle, code: str, metho
         found.reasons
         == estimate_mounting(Drive(Inertial(drive.inertial.t, mangle(drive.inertial.f)), drive.gnss)).reasons
     )
+
+
+@pytest.mark.parametrize("number", [0.0, 1.7])
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_an_axis_that_always_sends_the_same_number_is_refused_by_name(axis: int, number: float):
+    drive, _ = _drive(duration=120.0)
+    f = drive.inertial.f.copy()
+    f[:, axis] = number
+    for method in METHODS:
+        found = estimate_mounting(Drive(Inertial(drive.inertial.t, f), drive.gnss), method=method)
+        assert found.status == "insufficient"
+        assert _codes(found) == {"dead_axis"}
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_an_axis_that_sticks_on_the_way_is_named_and_left_out(seed: int):
+    drive, truth = _drive(seed=seed)
+    f = drive.inertial.f.copy()
+    stuck = (drive.inertial.t > 200.0) & (drive.inertial.t < 280.0)
+    f[stuck, seed % 3] = f[np.argmax(stuck), seed % 3]
+    found = estimate_mounting(Drive(Inertial(drive.inertial.t, f), drive.gnss))
+    assert "stuck_axis" in _codes(found)
+    assert found.status == "ready"
+    assert _error_deg(found, truth.R_va) < 4.0
+    assert not stuck_axis(decimate(drive.inertial))
+
+
+@pytest.mark.parametrize("resolution", [0.16, 0.6])
+def test_coarse_numbers_of_a_quiet_drive_are_no_stuck_axis(resolution: float):
+    drive, _ = _drive("highway", 300.0, seed=5, accel_resolution=resolution, accel_noise=0.0, vibration=0.3)
+    assert not stuck_axis(decimate(drive.inertial))
 
 
 @pytest.mark.parametrize("method", METHODS)

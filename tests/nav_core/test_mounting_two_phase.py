@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from nav_core.mounting import estimate_mounting
-from nav_core.mounting.stretch import usable_fixes
+from nav_core.mounting.fixes import usable_fixes
 from nav_core.mounting.two_phase import Road, estimate
 from nav_core.records import Drive, Gnss, Inertial
 from nav_core.rotation import error_between, rotvec_to_matrix

@@ -7,6 +7,7 @@ import pytest
 
 from nav_core.mounting.blows import cut_out
 from nav_core.mounting.echo import echo
+from nav_core.mounting.fixes import usable_fixes
 from nav_core.mounting.model import UNKNOWNS, Noise
 from nav_core.mounting.pitch_plane import PITCH_OBSERVED, pitch_plane
 from nav_core.mounting.planes import PITCH_STATES, YAW_STATES, transitions
@@ -23,7 +24,6 @@ from nav_core.mounting.stretch import (
     smoothed,
     smoothed_reference,
     steps_of,
-    usable_fixes,
 )
 from nav_core.mounting.whitening import Channel, at_point, measurements, process_noise, whiten, whiten_reference
 from nav_core.mounting.yaw_plane import YAW_OBSERVED, yaw_plane

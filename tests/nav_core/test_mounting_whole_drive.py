@@ -15,8 +15,9 @@ from scipy.signal import lfilter
 
 from nav_core.mounting import UnknownMethodError, estimate_mounting
 from nav_core.mounting.closed_form import start
+from nav_core.mounting.fixes import usable_fixes
 from nav_core.mounting.model import Noise
-from nav_core.mounting.stretch import prepare, usable_fixes
+from nav_core.mounting.stretch import prepare
 from nav_core.mounting.whole_drive import analyse, estimate
 from nav_core.records import Drive, Gnss, Inertial, MountingEstimate
 from nav_core.rotation import angle_between, error_between
@@ -181,6 +182,18 @@ def test_slow_irregular_accelerometer_and_outages():
     found = estimate_mounting(drive)
     assert found.status == "ready"
     assert np.linalg.norm(_error_deg(found, truth)) < 4.0
+
+
+def test_a_long_hole_in_the_fixes_says_nothing_of_the_road_in_it():
+    """Over four minutes of an unknown road the force tells no speed, let alone pitch to a tenth of a degree."""
+    strayed = []
+    for seed in range(8):
+        drive, truth = simulate(Scenario(duration=300.0, accel_rate=50.0, outages=((40.0, 280.0),)), seed=61_100 + seed)
+        found = estimate_mounting(drive)
+        if found.R_va is not None and found.sigma is not None:
+            strayed.append(float((error_between(found.R_va, truth.R_va) / found.sigma)[1]))
+    assert len(strayed) > 4
+    assert np.sqrt(np.mean(np.square(strayed))) < 1.5
 
 
 def test_a_hole_in_the_accelerometer_data_is_not_bridged():

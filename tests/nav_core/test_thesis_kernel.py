@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from nav_core.mounting import thesis_kernel, thesis_reference
+from nav_core.mounting import thesis_kernel, thesis_reference, thesis_rotations
 from nav_core.mounting.thesis_model import CORRECTED, GRAVITY, PRINTED, Tuning
 
 TUNING = Tuning()
@@ -33,7 +33,7 @@ def model(x, q_V, q_A, sense=1.0, *, steering=False):
 @given(quaternions)
 def test_matrix_of_a_quaternion(q):
     R = np.empty((3, 3))
-    thesis_kernel.rotation_of(q / np.linalg.norm(q), R)
+    thesis_rotations.rotation_of(q / np.linalg.norm(q), R)
     assert np.allclose(R, Rotation.from_quat(q).as_matrix(), atol=1e-14)
 
 
@@ -41,7 +41,7 @@ def test_matrix_of_a_quaternion(q):
 @given(small, small)
 def test_small_rotation_and_its_derivative(a, v):
     turned, J = np.empty(3), np.empty((3, 3))
-    thesis_kernel.small_rotation(a, v, turned, J)
+    thesis_rotations.small_rotation(a, v, turned, J)
     assert np.allclose(turned, thesis_reference.small_matrix(a) @ v, atol=1e-14)
     assert np.allclose(J, thesis_reference.small_derivative(a, v), atol=1e-14)
     step = 1e-6
@@ -65,7 +65,7 @@ def test_a_is_the_rotation_vector_to_second_order(a):
 def test_moving_the_reference_multiplies_on_the_left(a, q):
     unit = q / np.linalg.norm(q)
     moved = unit.copy()
-    thesis_kernel.turn_reference(a, moved)
+    thesis_rotations.turn_reference(a, moved)
     expected = thesis_reference.small_matrix(a) @ Rotation.from_quat(unit).as_matrix()
     assert np.allclose(Rotation.from_quat(moved).as_matrix(), expected, atol=1e-14)
     assert np.linalg.norm(moved) == pytest.approx(1.0, abs=1e-14)
@@ -85,7 +85,7 @@ def test_transport_is_the_derivative_of_what_is_left_of_a_small_rotation(a):
     full = np.eye(9)
     full[3:6, 3:6] = M
     expected = full @ P @ full.T
-    thesis_kernel.transport(a, 3, P)
+    thesis_rotations.transport(a, 3, P)
     assert np.allclose(P, expected, atol=1e-7)
 
 
@@ -108,7 +108,7 @@ def test_measurement_jacobian_against_differences(v, a, w, a_V, q_V, q_A, steeri
 
     def moved(d):
         q = q_A.copy()
-        thesis_kernel.turn_reference(d[6:], q)
+        thesis_rotations.turn_reference(d[6:], q)
         return model(x + np.append(d[:6], np.zeros(3)), q_V, q, steering=steering)[0]
 
     step = 1e-6
@@ -159,7 +159,7 @@ def test_only_the_corrected_equations_turn_the_attitude_error_with_the_vehicle()
         x[2] = 0.3 if errata.course else -0.3
         P[3:6, 3:6] = tilt
         thesis_kernel.predict(x, P, 0.25, TUNING._replace(attitude=0.0), errata)
-        thesis_kernel.transport(x[3:6], 3, P)
+        thesis_rotations.transport(x[3:6], 3, P)
         return P[3:6, 3:6]
 
     assert np.allclose(carried(CORRECTED), exact @ tilt @ exact.T, atol=0.01)

@@ -14,7 +14,7 @@ from nav_core.mounting.online import advance, begin
 from nav_core.mounting.online_stream import chunks_of
 from nav_core.mounting.online_verdict import assess
 from nav_core.mounting.thesis import ThesisRun, run_thesis
-from nav_core.mounting.thesis_kernel import N_STATES
+from nav_core.mounting.thesis_model import N_STATES
 from nav_core.records import Drive, Gnss, Inertial, MountingEstimate, MountingMethod
 from nav_core.rotation import angle_between, error_between, matrix_to_thesis, quaternion_to_matrix, rotvec_to_matrix
 from nav_core.typing import Floats
