@@ -12,8 +12,9 @@ from hypothesis import strategies as st
 
 from nav_core.records import Gnss
 from nav_core.signal import decimate
+from server.formats.drive import join_gnss
 from server.jobs.clock import from_arrival, from_fixes
-from server.jobs.digest import decode, digest_drive, encode, join_gnss
+from server.jobs.digest import decode, digest_drive, encode
 from server.jobs.stretch import PAUSE_S, Piece, assemble, in_windows
 from server.models import Boot
 
