@@ -149,6 +149,22 @@ def first_not_before(t: Floats, at: Floats) -> Integers:
     return out
 
 
+def runs(flags: Flags) -> list[tuple[int, int]]:
+    """Unbroken runs of true flags.
+
+    Parameters
+    ----------
+    flags : ndarray of bool, shape (n,)
+
+    Returns
+    -------
+    list of tuple of int
+        Index of the first of each run, and of the first after it.
+    """
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(np.int8), [0]])))
+    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
+
+
 def attenuation(frequency: Floats, rate: float = TICK_RATE) -> Floats:
     """Amplitude that the decimation leaves of a vibration.
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from nav_core.mounting.stretch import Span
 from nav_core.records import Gnss
+from nav_core.signal import runs
 from nav_core.timebase import stale
 from nav_core.typing import Floats
 
@@ -78,10 +79,8 @@ def _displaced(lat: Floats, lon: Floats, before: int, after: int) -> bool:
 
 
 def _legs(t: Floats, speed: Floats, course: Floats) -> list[_Leg]:
-    rolling = (speed > ROLLING).astype(np.int8)
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], rolling, [0]])))
     legs: list[_Leg] = []
-    for first, after in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+    for first, after in runs(speed > ROLLING):
         inside = slice(first, after)
         sure = np.flatnonzero(speed[inside] > 1.5 * ROLLING) + first
         if sure.size < 2:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from nav_core.mounting.stretch import Span
-from nav_core.signal import Ticks
+from nav_core.signal import Ticks, runs
 
 STUCK = 20.0
 SHAKEN = 0.3
@@ -32,8 +32,7 @@ def stuck_axis(ticks: Ticks) -> tuple[Span, ...]:
     for axis in range(3):
         # Means of equal samples differ by their rounding.
         same = np.abs(np.diff(f[:, axis])) < 1e-9
-        edges = np.flatnonzero(np.diff(np.concatenate([[0], same.astype(np.int8), [0]])))
-        for first, last in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+        for first, last in runs(same):  # of steps: the tick after the last of them is still the same
             part = slice(first, last + 1)
             if t[last] - t[first] < STUCK:
                 continue

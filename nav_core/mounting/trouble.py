@@ -28,7 +28,7 @@ from nav_core.mounting.stretch import Record, Span
 from nav_core.mounting.stuck import stuck_axis
 from nav_core.records import Gnss, Reason
 from nav_core.rotation import angle_between
-from nav_core.signal import KERNEL_TICKS, Ticks
+from nav_core.signal import KERNEL_TICKS, Ticks, runs
 from nav_core.timebase import stale
 from nav_core.typing import Floats
 
@@ -127,7 +127,8 @@ def inspect(ticks: Ticks, gnss: Gnss, fixes: Fixes) -> Trouble:
     -------
     Trouble
     """
-    refused = wrong_unit(ticks)
+    stuck = stuck_axis(ticks)
+    refused = wrong_unit(ticks, stuck)
     if refused is not None:
         return Trouble(refused)
     remarks: list[Reason] = []
@@ -139,7 +140,6 @@ def inspect(ticks: Ticks, gnss: Gnss, fixes: Fixes) -> Trouble:
     for remark in (frozen(gnss), slow_fixes(gnss), slow_samples(ticks)):
         if remark is not None:
             remarks.append(remark)
-    stuck = stuck_axis(ticks)
     if stuck:
         remarks.append(reason("stuck_axis", f"{sum(span.end - span.begin for span in stuck):.0f}"))
     aboard = unshaken(ticks, fixes)
@@ -148,12 +148,14 @@ def inspect(ticks: Ticks, gnss: Gnss, fixes: Fixes) -> Trouble:
     return Trouble(None, tuple(remarks), tuple(sorted((*torn, *backwards, *stuck, *aboard))))
 
 
-def wrong_unit(ticks: Ticks) -> Reason | None:
+def wrong_unit(ticks: Ticks, stuck: tuple[Span, ...] | None = None) -> Reason | None:
     """What the accelerometer sends instead of specific force in m/s², by the magnitude of gravity.
 
     Parameters
     ----------
     ticks : Ticks
+    stuck : tuple of Span, optional
+        What `stuck_axis` found in them, where that is known already.
 
     Returns
     -------
@@ -166,7 +168,7 @@ def wrong_unit(ticks: Ticks) -> Reason | None:
         return None
     size = np.linalg.norm(ticks.f[valid], axis=1)
     middle = float(np.median(size))
-    dead = _dead(ticks, middle)
+    dead = _dead(ticks, middle, stuck_axis(ticks) if stuck is None else stuck)
     if dead is not None or abs(middle / GRAVITY - 1.0) < UNIT_SHARE:
         return dead
     flicker = float(np.median(np.abs(size - middle))) / middle
@@ -178,12 +180,12 @@ def wrong_unit(ticks: Ticks) -> Reason | None:
     return reason("wrong_unit", f"numbers {float(f'{middle / GRAVITY:.2g}'):g} times as large")
 
 
-def _dead(ticks: Ticks, middle: float) -> Reason | None:
+def _dead(ticks: Ticks, middle: float, stuck: tuple[Span, ...]) -> Reason | None:
     """Whether nothing comes from the accelerometer, by the median of its force, or from an axis most of the time."""
     if middle == 0.0:
         return reason("dead_accelerometer")
-    stuck = sum(span.end - span.begin for span in stuck_axis(ticks))
-    return reason("dead_axis") if stuck > 0.5 * (ticks.t[-1] - ticks.t[0]) else None
+    silent = sum(span.end - span.begin for span in stuck)
+    return reason("dead_axis") if silent > 0.5 * (ticks.t[-1] - ticks.t[0]) else None
 
 
 def unshaken(ticks: Ticks, fixes: Fixes) -> tuple[Span, ...]:
@@ -210,9 +212,8 @@ def unshaken(ticks: Ticks, fixes: Fixes) -> tuple[Span, ...]:
     if at_rest.size < LEAST_AT_REST * ticks.rate:
         return ()
     quiet = QUIET * float(np.median(at_rest))
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], (speed > FOLLOW_SPEED).astype(np.int8), [0]])))
     spans: list[Span] = []
-    for first, after in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+    for first, after in runs(speed > FOLLOW_SPEED):
         fast = speed[first:after] > TRAVELLING
         if fast.sum() < LEAST_ABOARD * ticks.rate:
             continue
@@ -322,8 +323,8 @@ def frozen(gnss: Gnss) -> Reason | None:
     repeated = stale(gnss)
     if not repeated.any():
         return None
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], repeated.astype(np.int8), [0]])))
-    begin, end = gnss.t[np.maximum(edges[::2] - 1, 0)], gnss.t[edges[1::2] - 1]
+    first, after = np.array(runs(repeated)).T
+    begin, end = gnss.t[np.maximum(first - 1, 0)], gnss.t[after - 1]
     long = end - begin >= FROZEN
     return reason("gps_frozen", f"{float((end - begin)[long].sum()):.0f}") if long.any() else None
 
