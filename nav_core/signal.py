@@ -190,26 +190,39 @@ def attenuation(frequency: Floats, rate: float = TICK_RATE) -> Floats:
 
 
 @kernel
-def _accumulate(t: Floats, f: Floats, rate: float, first: int, weight: Floats, moment: Floats, square: Floats) -> None:
+def _accumulate(t: Floats, f: Floats, rate: float, first: int, sums: Floats) -> None:
+    """Add the samples' shares of weight, force and its square to `sums`, (ticks, 5), of which the first is `first`.
+
+    By the addition theorem the window is ``0.5 + 0.5 (c cos(turn offset) + s sin(turn offset))`` with one
+    sine and cosine per sample: between two ticks it is enough to sum 1, c and s times each quantity.
+    """
     half = KERNEL_TICKS // 2
     turn = 2.0 * np.pi / KERNEL_TICKS
-    offsets = np.arange(1.0 - half, half + 1.0)
-    cosine, sine = np.cos(turn * offsets), np.sin(turn * offsets)
-    for i in range(t.size):
-        u = t[i] * rate
-        base = int(np.floor(u))
-        c, s = np.cos(turn * (u - base)), np.sin(turn * (u - base))
-        fx, fy, fz = f[i, 0], f[i, 1], f[i, 2]
-        q = fx * fx + fy * fy + fz * fz
-        for j in range(offsets.size):
-            # cos(turn (u - base - offset)) by the addition theorem: one sine and cosine per sample
-            w = 0.5 + 0.5 * (c * cosine[j] + s * sine[j])
-            k = base + 1 - half + j - first
-            weight[k] += w
-            moment[k, 0] += w * fx
-            moment[k, 1] += w * fy
-            moment[k, 2] += w * fz
-            square[k] += w * q
+    n, i = t.size, 0
+    while i < n:
+        base = np.floor(t[i] * rate)
+        w1 = wc = ws = x1 = xc = xs = y1 = yc = ys = z1 = zc = zs = q1 = qc = qs = 0.0
+        while i < n:
+            u = t[i] * rate - base
+            if u < 0.0 or u >= 1.0:
+                break
+            c, s = np.cos(turn * u), np.sin(turn * u)
+            x, y, z = f[i, 0], f[i, 1], f[i, 2]
+            q = x * x + y * y + z * z
+            w1, wc, ws = w1 + 1.0, wc + c, ws + s
+            x1, xc, xs = x1 + x, xc + c * x, xs + s * x
+            y1, yc, ys = y1 + y, yc + c * y, ys + s * y
+            z1, zc, zs = z1 + z, zc + c * z, zs + s * z
+            q1, qc, qs = q1 + q, qc + c * q, qs + s * q
+            i += 1
+        for offset in range(1 - half, half + 1):
+            a, b = 0.5 * np.cos(turn * offset), 0.5 * np.sin(turn * offset)
+            k = int(base) + offset - first
+            sums[k, 0] += 0.5 * w1 + a * wc + b * ws
+            sums[k, 1] += 0.5 * x1 + a * xc + b * xs
+            sums[k, 2] += 0.5 * y1 + a * yc + b * ys
+            sums[k, 3] += 0.5 * z1 + a * zc + b * zs
+            sums[k, 4] += 0.5 * q1 + a * qc + b * qs
 
 
 def accumulate_reference(t: Floats, f: Floats, rate: float) -> Ticks:
@@ -283,9 +296,8 @@ def decimate(inertial: Inertial, rate: float = TICK_RATE) -> Ticks:
         part = slice(piece[0], piece[-1] + 1)
         first = int(np.floor(t[part][0] * rate)) + 1 - half
         count = int(np.floor(t[part][-1] * rate)) + half + 1 - first
-        weight, moment, square = np.zeros(count), np.zeros((count, 3)), np.zeros(count)
-        _accumulate(t[part], inertial.f[part], float(rate), first, weight, moment, square)
-        sums = np.column_stack([weight, moment, square])
+        sums = np.zeros((count, 5))
+        _accumulate(t[part], inertial.f[part], float(rate), first, sums)
         parts.append(_nonempty(rate, np.arange(first, first + count), sums))
     return parts[0] if len(parts) == 1 else merge(parts)
 
