@@ -24,7 +24,12 @@ HUBER = 3.0
 """Innovations beyond this many sigmas are weighted down."""
 
 MAX_LAG = 2.5
+CLOSE = 0.1
+"""A fit is at rest when a pass moves no angle and no lag by more than this many of its sigmas..."""
+_LEAST = np.array([3e-3, 3e-3, 3e-3, 0.1, 0.1])
+"""...or by this share of these, rad and s: what a long drive knows far better is not chased."""
 _PASSES = 8
+_MOVING = np.r_[np.arange(UNKNOWNS)[TURN], SPEED_LAG, COURSE_LAG]
 _MAX_TURN = 0.4
 
 
@@ -222,7 +227,7 @@ def _informative(planes: tuple[Channel, Channel], gram: Floats) -> Floats:
     return share
 
 
-def refine(record: Record, start: Start, noise: Noise, p: Floats | None = None) -> Fit:
+def refine(record: Record, start: Start, noise: Noise, p: Floats | None = None, *, within: float = CLOSE) -> Fit:
     """Maximum a posteriori mounting.
 
     Parameters
@@ -233,6 +238,8 @@ def refine(record: Record, start: Start, noise: Noise, p: Floats | None = None) 
     noise : Noise
     p : ndarray, shape (14,), optional
         Where the unknowns are likely to end; given, outliers are told from the first pass on.
+    within : float
+        When to stop, in sigmas of the step; see `CLOSE`.
 
     Returns
     -------
@@ -249,10 +256,12 @@ def refine(record: Record, start: Start, noise: Noise, p: Floats | None = None) 
         gram = evidence.gram.sum((0, 1))
         suited = likely_bias(noise, gram, lags)
         diagonal, mean = prior(suited, lags)
-        at = np.linalg.solve(gram[1:, 1:] + np.diag(diagonal + 1e-6), diagonal * mean - gram[1:, 0])
+        covariance = np.linalg.inv(gram[1:, 1:] + np.diag(diagonal + 1e-6))
+        at = covariance @ (diagonal * mean - gram[1:, 0])
+        least = np.maximum(np.sqrt(np.diag(covariance)[_MOVING]), _LEAST)
+        settled = bool((np.abs(at[_MOVING]) < within * least).all())
         turn = at[TURN] * min(1.0, _MAX_TURN / max(float(np.linalg.norm(at[TURN])), 1e-9))
         shift = at[[SPEED_LAG, COURSE_LAG]]
-        settled = float(np.linalg.norm(turn)) < 3e-4 and float(np.abs(shift).max()) < 0.01
         number += 1
         if number == _PASSES or (settled and (number > 1 or p is not None)):
             break

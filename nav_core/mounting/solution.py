@@ -14,6 +14,9 @@ from nav_core.mounting.refine import HUBER, Fit, refine
 from nav_core.mounting.smoothing import as_received, smoothing_time
 from nav_core.mounting.stretch import Record
 
+_ROUGHLY = 1.0
+"""Sigmas within which the rough fit has settled: it tells noise levels, and the fine one goes on from it."""
+
 EXCERPT = 400.0
 """Length of the stretch that start and noise levels are taken from, s."""
 
@@ -52,10 +55,8 @@ def solve(record: Record, noise: Noise) -> Solution:
     """
     part = excerpt(record, EXCERPT)
     first = start(part, noise)
-    rough = refine(part, first, noise)
+    rough = refine(part, first, noise, within=_ROUGHLY)
     suited = adapted(part, rough.view, noise, rough.p, HUBER)
-    if part is record and suited == noise:
-        return Solution(first, rough, rough, record, 0.0)
     return Solution(first, rough, refine(record, _near(first, rough), suited, rough.p), record, 0.0)
 
 
@@ -86,7 +87,7 @@ def matched(solution: Solution, noise: Noise) -> Solution:
         better = first._replace(
             R_va=rough.R_va, speed_lag=lag, course_lag=max(rough.course_lag + smoothing - time, 0.0)
         )
-        rough, smoothing = refine(seen, better, noise, rough.p), time
+        rough, smoothing = refine(seen, better, noise, rough.p, within=_ROUGHLY), time
     if smoothing == 0.0:
         return solution
     suited = adapted(seen, rough.view, noise, rough.p, HUBER)
