@@ -12,6 +12,7 @@ import random
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import structlog
 from sqlalchemy import Select, func, select
@@ -57,10 +58,6 @@ def deliver_due(
 ) -> int:
     """Try everything that is due; how many tries were made."""
     tries = 0
-    with database.reading() as session:
-        # Most looks end here, without a lock on anything.
-        if session.scalars(_due(clock(), priorities)).first() is None:
-            return 0
     while (taken := _take(database, settings, clock(), priorities)) is not None:
         answer = _send(settings, taken, clock())
         _conclude(database, settings, taken, answer, clock())
@@ -221,21 +218,39 @@ def _conclude(database: Database, settings: Settings, taken: Taken, answer: Answ
 def start(database: Database, settings: Settings, *, stop: threading.Event, clock: Clock) -> list[threading.Thread]:
     """Send in the background: emergencies from threads of their own, which no slow receiver of the rest holds up."""
 
-    def sender(name: str, priority: int) -> threading.Thread:
-        return _loop(name, lambda: deliver_due(database, settings, clock=clock, priorities=(priority,)), stop)
+    def senders(name: str, priority: int, count: int) -> list[threading.Thread]:
+        due = partial(_any_due, database, clock, priority)
+        work = partial(deliver_due, database, settings, clock=clock, priorities=(priority,))
+        run = partial(_send_what_is_due, name, due, work, threading.Lock(), stop)
+        return [threading.Thread(target=run, name=name, daemon=True) for _ in range(count)]
 
-    emergencies = [sender("emergencies", EMERGENCY) for _ in range(EMERGENCY_SENDERS)]
-    return emergencies + [sender("deliveries", ORDINARY) for _ in range(ORDINARY_SENDERS)]
+    threads = senders("emergencies", EMERGENCY, EMERGENCY_SENDERS) + senders("deliveries", ORDINARY, ORDINARY_SENDERS)
+    for thread in threads:
+        thread.start()
+    return threads
 
 
-def _loop(name: str, work: Callable[[], int], stop: threading.Event) -> threading.Thread:
-    def run() -> None:
-        while not stop.wait(LOOK_S):
-            try:
+def _any_due(database: Database, clock: Clock, priority: int) -> bool:
+    with database.reading() as session:  # without a lock on anything
+        return session.scalars(_due(clock(), (priority,))).first() is not None
+
+
+def _send_what_is_due(
+    name: str, due: Callable[[], bool], work: Callable[[], int], turn: threading.Lock, stop: threading.Event
+) -> None:
+    """Be one of the senders that share `turn`: of those at leisure one looks for all, the rest cost nothing.
+
+    Who finds something leaves the looking to the next one before it sends, so that a slow receiver holds up
+    nobody; that one looks at once, for where one thing is due there may be more.
+    """
+    while not stop.is_set():
+        found = False
+        try:
+            with turn:
+                while not stop.is_set() and not (found := due()):
+                    stop.wait(LOOK_S)
+            if found:
                 work()
-            except Exception:
-                log.exception("deliveries cannot be made", sender=name)
-
-    thread = threading.Thread(target=run, name=name, daemon=True)
-    thread.start()
-    return thread
+        except Exception:
+            log.exception("deliveries cannot be made", sender=name)
+            stop.wait(LOOK_S)

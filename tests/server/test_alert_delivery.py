@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import datetime as dt
 import hashlib
@@ -323,6 +324,44 @@ def test_a_slow_receiver_holds_up_no_emergency(outbox, clock):
             for thread in threads:
                 thread.join(10.0)
     assert json.loads(fast.posts[0].body)["alert"]["kind"] == "emergency"
+
+
+def test_one_sender_at_leisure_looks_for_all_and_a_stuck_one_holds_up_nobody(outbox, clock, monkeypatch):
+    looking, most, looks = 0, 0, []
+    any_due = delivery._any_due
+
+    def counted(database, clock, priority):
+        nonlocal looking, most
+        looking += 1
+        most = max(most, looking)
+        looks.append(threading.get_ident())
+        try:
+            return any_due(database, clock, priority)
+        finally:
+            looking -= 1
+
+    monkeypatch.setattr(delivery, "_any_due", counted)
+    monkeypatch.setattr(delivery, "EMERGENCY_SENDERS", 0)
+    with contextlib.ExitStack() as receivers:
+        stuck = [receivers.enter_context(webhook()) for _ in range(delivery.ORDINARY_SENDERS - 1)]
+        quick = receivers.enter_context(webhook())
+        for each in stuck:
+            each.hold = threading.Event()
+            outbox.owe(hook_channel(outbox, each))
+        stop = threading.Event()
+        threads = delivery.start(outbox.database, outbox.settings, stop=stop, clock=clock)
+        try:
+            assert all(each.arrived.wait(30.0) for each in stuck)
+            outbox.owe(hook_channel(outbox, quick))
+            assert quick.arrived.wait(30.0)
+        finally:
+            for each in stuck:
+                each.hold.set()
+            stop.set()
+            for thread in threads:
+                thread.join(10.0)
+    assert most == 1
+    assert len(set(looks)) >= delivery.ORDINARY_SENDERS
 
 
 # --- no way in
