@@ -139,15 +139,16 @@ def run_consumer(
     broker = make_broker(settings.broker_url.get_secret_value())
 
     def work(device_id: str) -> None:
-        def rounds(tally: Tally) -> None:
-            more = True
-            while more and not stop.is_set():
-                done = bring_up_to_date(database, store, device_id, clock=clock)
-                tally.add(batches=done.batches, failed=done.failed, estimates=done.estimates)
-                more = done.more
-
         message = CurrentMessage.get_current_message()
         assert message is not None
+
+        def rounds(tally: Tally) -> None:
+            done = bring_up_to_date(database, store, device_id, clock=clock)
+            tally.add(batches=done.batches, failed=done.failed, estimates=done.estimates)
+            if done.more:
+                # Behind the others: no box's crash waits for the backlog of another.
+                broker.enqueue(message_for(device_id, queue, options=_said_of(message)))
+
         job = Job(message.message_id, device_id, message.queue_name, known(message.options))
         run_job(database, job, rounds, clock=clock)
 
@@ -177,6 +178,12 @@ def run_consumer(
             if thread is not None:
                 thread.join(2.0)  # an event that is being computed again is left: its lease runs out
         database.dispose()
+
+
+def _said_of(message: dramatiq.Message[Any]) -> dict[str, object]:
+    """What a message says to those that follow from it, its count of retries left out."""
+    kept = ("max_retries",) if "max_retries" in message.options else ()
+    return {**known(message.options), **{name: message.options[name] for name in kept}}
 
 
 class Sweep:

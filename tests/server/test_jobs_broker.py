@@ -108,6 +108,31 @@ def test_bursts_have_a_queue_of_their_own(world, batches, settings, queue, consu
     sender.close()
 
 
+def test_a_burst_does_not_wait_for_the_backlog_of_another_box(settings, queue, send, consume, monkeypatch):
+    monkeypatch.setattr(Sweep, "once", lambda _sweep: 0)
+    first_round, burst_done = threading.Event(), threading.Event()
+
+    def bring_up_to_date(database, store, device_id, *, clock):
+        del database, store, clock
+        if device_id == "crashed":
+            burst_done.set()
+            return jobs_work.Outcome(batches=1)
+        first_round.set()
+        return jobs_work.Outcome(batches=1, more=not burst_done.is_set())  # a backlog without end
+
+    monkeypatch.setattr(jobs_work, "bring_up_to_date", bring_up_to_date)
+    consume()
+    send("backlog")
+    assert first_round.wait(90.0)
+    sender = Sender(settings, queue=bursts_of(queue), actor=jobs_broker.BURST_ACTOR)
+    sender("crashed")
+    try:
+        assert burst_done.wait(30.0)
+    finally:
+        burst_done.set()
+        sender.close()
+
+
 def test_the_sweep_finds_what_no_message_told(world, batches, consume):
     world.put(batches[0], 0)
     consume()
