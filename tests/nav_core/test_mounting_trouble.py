@@ -12,10 +12,11 @@ from nav_core.mounting import estimate_mounting
 from nav_core.mounting.clocks import clock_jumps
 from nav_core.mounting.fusion import joined
 from nav_core.mounting.model import Noise
+from nav_core.mounting.receiver import frozen
 from nav_core.mounting.reversing import reversals
 from nav_core.mounting.stuck import stuck_axis
 from nav_core.mounting.trips import told_of
-from nav_core.mounting.trouble import frozen, sampling_rate
+from nav_core.mounting.trouble import sampling_rate
 from nav_core.records import Drive, Gnss, Inertial, MountingEstimate
 from nav_core.rotation import angle_between, error_between
 from nav_core.signal import decimate
