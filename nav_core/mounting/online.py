@@ -32,6 +32,7 @@ from nav_core.mounting.online_stream import Chunk, fixes_where, joined, jumped_b
 from nav_core.mounting.online_tally import PIECE, Tally, heard, moved_on, noted, piece_of, strangeness
 from nav_core.mounting.online_watch import Move, Watch, looked_after
 from nav_core.mounting.reasons import reason
+from nav_core.mounting.receiver import NO_CHORDS, Chords, followed_on
 from nav_core.mounting.stretch import Record
 from nav_core.mounting.trouble import wrong_unit
 from nav_core.records import Gnss, Reason
@@ -81,6 +82,8 @@ class OnlineState:
         What the drive has offered and how the estimate has developed.
     watch : Watch
         Over the box staying where it is.
+    chords : Chords
+        What the receiver says of itself, see `receiver.wrong_gps_unit`.
     moves : tuple of Move
         After each of which the estimate began anew.
     remarks : tuple of Reason
@@ -97,6 +100,7 @@ class OnlineState:
     gnss: Gnss | None = None
     tally: Tally = field(default_factory=Tally)
     watch: Watch = field(default_factory=Watch)
+    chords: Chords = NO_CHORDS
     moves: tuple[Move, ...] = ()
     remarks: tuple[Reason, ...] = ()
 
@@ -195,7 +199,8 @@ def _prepared(state: OnlineState, chunk: Chunk) -> _Work:
         last = float(record.fixes.t[-1])
         felt = float(record.t[-1]) - 0.3 + HORIZON
         heard = min(last, felt) if felt > last - 5.0 else last
-    return _Work(replace(state, ticks=ticks, spin=spin, gnss=gnss), record, spins, heard, np.empty((0, N_COLUMNS)))
+    state = replace(state, ticks=ticks, spin=spin, gnss=gnss, chords=followed_on(state.chords, gnss))
+    return _Work(state, record, spins, heard, np.empty((0, N_COLUMNS)))
 
 
 def _next_piece(work: _Work) -> bool:
@@ -338,13 +343,12 @@ def _after(move: Move, work: _Work, now: float) -> _Work:
     spin = None if state.spin is None else ticks_since(state.spin, now - LONGEST_LAG)
     work.state = OnlineState(
         state.tuning,
-        None,
-        state.lags,
-        state.bias,
-        None,
-        ticks,
-        spin,
-        gnss,
+        lags=state.lags,
+        bias=state.bias,
+        ticks=ticks,
+        spin=spin,
+        gnss=gnss,
+        chords=state.chords,
         moves=(*state.moves, move),
         remarks=state.remarks,
     )

@@ -21,6 +21,7 @@ from nav_core.mounting.online_tally import (
 )
 from nav_core.mounting.quality import LAG_KNOWN, MIN_EVENTFUL, MIN_MOVING, USELESS, missing, progress_of
 from nav_core.mounting.reasons import reason
+from nav_core.mounting.receiver import wrong_gps_unit
 from nav_core.mounting.trouble import BENDS, FOLLOWED, HANDED, TRUSTED_AFTER, explained, wrong_unit
 from nav_core.records import Drive, MountingChange, MountingEstimate, Reason
 from nav_core.rotation import angle_between
@@ -53,7 +54,7 @@ def assess(state: OnlineState) -> MountingEstimate:
         2°, the drive offered enough, and the receiver's data are those of a car.
     """
     tally, filters = state.tally, state.filters
-    refused = None if state.ticks is None else wrong_unit(state.ticks)
+    refused = wrong_gps_unit(state.chords) or (None if state.ticks is None else wrong_unit(state.ticks))
     if refused is not None:
         return _without(0.0, (refused,), state)
     if filters is None:

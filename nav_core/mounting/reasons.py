@@ -30,6 +30,8 @@ REASONS = {
     "reversing": "{} s of reversing were left out.",
     "gps_frozen": "The satellite receiver repeated old fixes for {} s; they were left out.",
     "gps_late": "The satellite receiver is {} s late; this is accounted for.",
+    "gps_speed_unit": "The satellite receiver sends its speed in {} instead of m/s: correct its unit.",
+    "gps_course_unit": "The satellite receiver sends its course {} instead of in rad clockwise from north: correct it.",
     "slow_gps": "The satellite receiver gives {} fixes a second: enough, but it takes longer.",
     "slow_accelerometer": "The accelerometer gives only {} samples a second: vibration blurs it, and it takes longer.",
     "clock_jump": "The clock of the box jumped by {} s.",

@@ -21,7 +21,7 @@ from nav_core.mounting.fixes import FOLLOW_SPEED, Fixes
 from nav_core.mounting.model import GRAVITY, Noise
 from nav_core.mounting.quality import excitation, fits_a_car
 from nav_core.mounting.reasons import reason
-from nav_core.mounting.receiver import frozen, slow_fixes
+from nav_core.mounting.receiver import chords, frozen, slow_fixes, wrong_gps_unit
 from nav_core.mounting.refine import HUBER, Fit, refine, weigh
 from nav_core.mounting.reversing import reversals
 from nav_core.mounting.solution import EXCERPT, Solution, excerpt
@@ -121,7 +121,7 @@ def inspect(ticks: Ticks, gnss: Gnss, fixes: Fixes) -> Trouble:
     Trouble
     """
     stuck = stuck_axis(ticks)
-    refused = wrong_unit(ticks, stuck)
+    refused = wrong_unit(ticks, stuck) or wrong_gps_unit(chords(gnss))
     if refused is not None:
         return Trouble(refused)
     remarks: list[Reason] = []
