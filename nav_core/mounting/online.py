@@ -14,7 +14,8 @@ import numpy as np
 
 from nav_core.errors import ShapeError
 from nav_core.mounting.closed_form import level_basis
-from nav_core.mounting.fixes import Fixes, gps_rate, unrolled
+from nav_core.mounting.fixes import gps_rate, unrolled
+from nav_core.mounting.online_hearing import TRUSTED, UNPROVED, Hearing, gyro_since, listened, right_lags
 from nav_core.mounting.online_hypotheses import adapted, likely, likely_bias, settled, stack
 from nav_core.mounting.online_kernel import run
 from nav_core.mounting.online_model import (
@@ -27,11 +28,12 @@ from nav_core.mounting.online_model import (
     hypotheses,
     initial_filters,
 )
-from nav_core.mounting.online_rows import HORIZON, SLOWEST, Place, ready_fixes, records_of, rows_of
+from nav_core.mounting.online_rows import HORIZON, KEEP, SLOWEST, Place, ready_fixes, records_of, rows_of, window
 from nav_core.mounting.online_stream import Chunk, fixes_where, joined, jumped_back, ticks_since
 from nav_core.mounting.online_tally import PIECE, Tally, heard, moved_on, noted, piece_of, strangeness
 from nav_core.mounting.online_watch import Move, Watch, looked_after
 from nav_core.mounting.reasons import reason
+from nav_core.mounting.receiver import NO_CHORDS, Chords, followed_on
 from nav_core.mounting.stretch import Record
 from nav_core.mounting.trouble import wrong_unit
 from nav_core.records import Gnss, Reason
@@ -47,8 +49,8 @@ LEAST_TICKS = 20
 WAIT = 120.0
 """How much of the raw stream is kept while nothing can start, s."""
 
-KEEP = 6.0
-"""How much of the raw stream before the last fix a state carries, s."""
+PROBATION = 60.0
+"""For so much driving the raw stream is kept as if nothing had started, s: lags and gyro may turn out to be others."""
 
 ADAPTED_AFTER = 20.0
 """s of driving before the innovations say how rough it is."""
@@ -81,6 +83,12 @@ class OnlineState:
         What the drive has offered and how the estimate has developed.
     watch : Watch
         Over the box staying where it is.
+    chords : Chords
+        What the receiver says of itself, see `receiver.wrong_gps_unit`.
+    hearing : Hearing
+        What is told of the receiver's lags and the gyro without a mounting.
+    gyro : str or Reason
+        Whether it is used: `TRUSTED`, not yet, or why not.
     moves : tuple of Move
         After each of which the estimate began anew.
     remarks : tuple of Reason
@@ -97,6 +105,9 @@ class OnlineState:
     gnss: Gnss | None = None
     tally: Tally = field(default_factory=Tally)
     watch: Watch = field(default_factory=Watch)
+    chords: Chords = NO_CHORDS
+    hearing: Hearing = field(default_factory=Hearing)
+    gyro: str | Reason = UNPROVED
     moves: tuple[Move, ...] = ()
     remarks: tuple[Reason, ...] = ()
 
@@ -195,7 +206,8 @@ def _prepared(state: OnlineState, chunk: Chunk) -> _Work:
         last = float(record.fixes.t[-1])
         felt = float(record.t[-1]) - 0.3 + HORIZON
         heard = min(last, felt) if felt > last - 5.0 else last
-    return _Work(replace(state, ticks=ticks, spin=spin, gnss=gnss), record, spins, heard, np.empty((0, N_COLUMNS)))
+    state = replace(state, ticks=ticks, spin=spin, gnss=gnss, chords=followed_on(state.chords, gnss))
+    return _Work(state, record, spins, heard, np.empty((0, N_COLUMNS)))
 
 
 def _next_piece(work: _Work) -> bool:
@@ -212,12 +224,17 @@ def _next_piece(work: _Work) -> bool:
         move = _move(state, since)
         if move is not None:
             return _next_piece(_after(move, work, since))
+        before, state = state, _listened(state, work)
+        if state.lags != before.lags or (before.gyro == TRUSTED and state.gyro != TRUSTED):
+            work.state = replace(state, filters=None, place=None, tally=Tally(), watch=Watch())
+            return _next_piece(work)
     edge = (piece_of(since) + 1.0) * PIECE
     ready &= record.fixes.t < edge
-    window = _window(record, since - KEEP, edge + HORIZON)
-    spin = None if work.spin is None else _window(work.spin, since - KEEP, edge + HORIZON)
-    kept = (record.fixes.t >= window.fixes.t[0]) & (record.fixes.t <= window.fixes.t[-1])
-    rows, place = rows_of(window, spin, state.place, ready[kept], state.lags, state.tuning)
+    part = window(record, since - KEEP, edge + HORIZON)
+    spin = work.spin if state.gyro == TRUSTED else None
+    spin = None if spin is None else window(spin, since - KEEP, edge + HORIZON)
+    kept = (record.fixes.t >= part.fixes.t[0]) & (record.fixes.t <= part.fixes.t[-1])
+    rows, place = rows_of(part, spin, state.place, ready[kept], state.lags, state.tuning)
     filters = state.filters
     if filters is None:
         filters = initial_filters(rows[0], _starts(record, state.lags), state.lags, state.tuning)
@@ -244,19 +261,6 @@ def _starts(record: Record, lags: tuple[float, float]) -> Floats:
     span = max(float(t[-1] - t[0]), 1.0)
     side = np.where(speed > SLOWEST, speed * gps_rate(t, unrolled(fixes.course[first])), 0.0)
     return hypotheses(force, level_basis(force[None]), (float(speed[-1] - speed[0]) / span, float(side.mean())))
-
-
-def _window(record: Record, begin: float, end: float) -> Record:
-    """A stretch of a record, with the steps of its ticks as they were."""
-    fixes = slice(*np.searchsorted(record.fixes.t, [begin, end]).tolist())
-    ticks = slice(*np.searchsorted(record.t, [begin - KEEP, end]).tolist())
-    return Record(
-        record.t[ticks],
-        record.f[ticks],
-        record.step[ticks],
-        Fixes(*(column[fixes] for column in record.fixes)),
-        record.density[ticks],
-    )
 
 
 def _run_piece(works: list[_Work]) -> None:
@@ -316,6 +320,19 @@ def _looked_at(state: OnlineState) -> OnlineState:
     return replace(state, filters=filters, lags=(float(lags[0]), float(lags[1])), bias=bias, watch=watch)
 
 
+def _listened(state: OnlineState, work: _Work) -> OnlineState:
+    """The state with what the piece behind it tells of lags and gyro."""
+    assert state.place is not None
+    begin = piece_of(state.place.fix) * PIECE
+    around = (begin - 2.0, begin + PIECE + 2.0 * HORIZON)
+    spin = None if work.spin is None else window(work.spin, *around)
+    hearing = listened(state.hearing, window(work.record, *around), spin, begin)
+    if hearing.until == state.hearing.until:
+        return state
+    lags, gyro = right_lags(hearing, state.lags), gyro_since(state.gyro, hearing)
+    return replace(state, hearing=hearing, lags=lags, gyro=gyro)
+
+
 def _move(state: OnlineState, now: float) -> Move | None:
     """The move of the box that has come out by now, if one has.
 
@@ -338,13 +355,13 @@ def _after(move: Move, work: _Work, now: float) -> _Work:
     spin = None if state.spin is None else ticks_since(state.spin, now - LONGEST_LAG)
     work.state = OnlineState(
         state.tuning,
-        None,
-        state.lags,
-        state.bias,
-        None,
-        ticks,
-        spin,
-        gnss,
+        lags=state.lags,
+        bias=state.bias,
+        ticks=ticks,
+        spin=spin,
+        gnss=gnss,
+        chords=state.chords,
+        gyro=state.gyro,
         moves=(*state.moves, move),
         remarks=state.remarks,
     )
@@ -360,7 +377,7 @@ def _trimmed(state: OnlineState) -> OnlineState:
         ends = [float(t[-1]) for t in (state.ticks.t, state.gnss.t) if t.size]
         since = max(ends, default=0.0) - WAIT
     else:
-        since = state.place.fix - KEEP
+        since = state.place.fix - (WAIT if state.tally.driven < PROBATION else KEEP)
     spin = state.spin
     return replace(
         state,

@@ -45,6 +45,9 @@ from nav_core.typing import Flags, Floats, Integers
 HORIZON = 1.0
 """How long after a fix it is worked off, s: the reach of its rates."""
 
+KEEP = 6.0
+"""How much of the raw stream before the last fix a state carries, s."""
+
 SLOWEST = 1.0
 """Least divisor, m/s."""
 
@@ -221,3 +224,28 @@ def records_of(ticks: Ticks, spin: Ticks | None, gnss: Gnss) -> tuple[Record, Re
     """
     fixes = usable_fixes(gnss)
     return prepare(ticks, fixes), None if spin is None else prepare(spin, fixes)
+
+
+def window(record: Record, begin: float, end: float) -> Record:
+    """A stretch of a record, with the steps of its ticks as they were; ticks from `KEEP` earlier on.
+
+    Parameters
+    ----------
+    record : Record
+    begin, end : float
+        Box time, s.
+
+    Returns
+    -------
+    Record
+        Views.
+    """
+    fixes = slice(*np.searchsorted(record.fixes.t, [begin, end]).tolist())
+    ticks = slice(*np.searchsorted(record.t, [begin - KEEP, end]).tolist())
+    return Record(
+        record.t[ticks],
+        record.f[ticks],
+        record.step[ticks],
+        Fixes(*(column[fixes] for column in record.fixes)),
+        record.density[ticks],
+    )

@@ -8,6 +8,7 @@ from nav_core.mounting.confidence import CONVERGED, STEADY, STEADY_SPAN, observa
 from nav_core.mounting.model import GRAVITY
 from nav_core.mounting.moved import LEAST_ANGLE
 from nav_core.mounting.online import LEAST_TICKS, LISTEN, MISMATCH, OnlineState, advance, begin
+from nav_core.mounting.online_hearing import lag_of
 from nav_core.mounting.online_hypotheses import handed, settled
 from nav_core.mounting.online_model import BIAS, SPEED_LAG, Filters
 from nav_core.mounting.online_stream import chunks_of
@@ -21,6 +22,7 @@ from nav_core.mounting.online_tally import (
 )
 from nav_core.mounting.quality import LAG_KNOWN, MIN_EVENTFUL, MIN_MOVING, USELESS, missing, progress_of
 from nav_core.mounting.reasons import reason
+from nav_core.mounting.receiver import late, wrong_gps_unit
 from nav_core.mounting.trouble import BENDS, FOLLOWED, HANDED, TRUSTED_AFTER, explained, wrong_unit
 from nav_core.records import Drive, MountingChange, MountingEstimate, Reason
 from nav_core.rotation import angle_between
@@ -53,7 +55,7 @@ def assess(state: OnlineState) -> MountingEstimate:
         2°, the drive offered enough, and the receiver's data are those of a car.
     """
     tally, filters = state.tally, state.filters
-    refused = None if state.ticks is None else wrong_unit(state.ticks)
+    refused = wrong_gps_unit(state.chords) or (None if state.ticks is None else wrong_unit(state.ticks))
     if refused is not None:
         return _without(0.0, (refused,), state)
     if filters is None:
@@ -66,7 +68,7 @@ def assess(state: OnlineState) -> MountingEstimate:
     eventful = tally.along + tally.across
     progress = progress_of(sigma, eventful)
     strange = strangeness(filters)
-    foreign = _foreign(filters, strange)
+    foreign = _foreign(filters, strange, state)
     if foreign is not None:
         reasons = (foreign,) if state.ticks is None else explained((foreign,), state.ticks)
         return _without(min(progress, 0.2), reasons, state)
@@ -82,6 +84,7 @@ def assess(state: OnlineState) -> MountingEstimate:
     if not ready and strange > ROUGH:
         reasons = (*reasons, reason("rough"))
     known = np.sqrt(np.diag(filters.P[filters.best])[SPEED_LAG : SPEED_LAG + 2]) < LAG_KNOWN
+    lags = state.lags[0] if known[0] else None, state.lags[1] if known[1] else None
     return MountingEstimate(
         "ready" if ready else "settling",
         "online",
@@ -93,11 +96,17 @@ def assess(state: OnlineState) -> MountingEstimate:
         reliable=eventful >= MIN_EVENTFUL,
         self_test=recent_test(tally),
         converged_after=tally.sure_since,
-        speed_lag=state.lags[0] if known[0] else None,
-        course_lag=state.lags[1] if known[1] else None,
+        speed_lag=lags[0],
+        course_lag=lags[1],
         changes=_changes(state, mounting_of(filters)),
-        reasons=(*reasons, *state.remarks),
+        reasons=(*reasons, *_remarks(state, *lags)),
     )
+
+
+def _remarks(state: OnlineState, speed_lag: float | None, course_lag: float | None) -> tuple[Reason, ...]:
+    """What was found and dealt with."""
+    gyro = () if isinstance(state.gyro, str) else (state.gyro,)
+    return (*gyro, *late(speed_lag, course_lag), *state.remarks)
 
 
 def _changes(state: OnlineState, present: Floats | None) -> tuple[MountingChange, ...]:
@@ -121,11 +130,14 @@ def _not_begun(state: OnlineState) -> str:
     return "no_accelerometer" if deaf and t[-1] - t[0] > LISTEN else "few_fixes"
 
 
-def _foreign(filters: Filters, strange: float) -> Reason | None:
+def _foreign(filters: Filters, strange: float, state: OnlineState) -> Reason | None:
     """Why the data are not those of a box fixed in a car, if they are not."""
     if strange > MISMATCH or abs(filters.x[filters.best, BIAS + 2]) > NO_GRAVITY:
         return reason("mismatch")
-    return reason("mirrored") if filters.mirrored[filters.best] else None
+    if not filters.mirrored[filters.best]:
+        return None
+    # A receiver later than expected turns force and course against each other as a mirror does.
+    return reason("handedness_open" if lag_of(state.hearing.speed) is None else "mirrored")
 
 
 def _doubts(state: OnlineState) -> tuple[Reason, ...]:
@@ -156,9 +168,8 @@ def _is_stable(state: OnlineState) -> bool:
 
 def _without(progress: float, reasons: tuple[Reason, ...], state: OnlineState) -> MountingEstimate:
     changes = _changes(state, None)
-    return MountingEstimate(
-        "insufficient", "online", progress=progress, changes=changes, reasons=(*reasons, *state.remarks)
-    )
+    remarks = _remarks(state, lag_of(state.hearing.speed), lag_of(state.hearing.course))
+    return MountingEstimate("insufficient", "online", progress=progress, changes=changes, reasons=(*reasons, *remarks))
 
 
 def estimate(drive: Drive) -> MountingEstimate:

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from nav_core.errors import TooLittleDataError
 from nav_core.mounting.confidence import CONVERGED
+from nav_core.mounting.receiver import chords, wrong_gps_unit
 from nav_core.mounting.thesis_flow import TEST_DURATION, WINDOW, FlowChart, follow_flow_chart
 from nav_core.mounting.thesis_kernel import filter_drive, restart_vehicle
 from nav_core.mounting.thesis_model import (
@@ -215,7 +216,7 @@ def estimate_thesis(drive: Drive, *, errata: ErrataName | Errata = "corrected") 
         box's yaw from the vehicle's.  The covariance is the filter's own, which knows nothing of accelerometer
         bias and of the road's persistent bank.
     """
-    refused = wrong_unit(decimate(drive.inertial))
+    refused = wrong_unit(decimate(drive.inertial)) or wrong_gps_unit(chords(drive.gnss))
     if refused is not None:
         return MountingEstimate("insufficient", "mekf", reasons=(refused,))
     try:

@@ -22,7 +22,7 @@ from nav_core.mounting.thesis_model import (
     Steps,
     Tuning,
 )
-from nav_core.mounting.thesis_rotations import rotation_of, small_rotation, transport, turn_reference
+from nav_core.mounting.thesis_rotations import move_references, rotation_of, small_rotation
 from nav_core.typing import Flags, Floats, kernel
 
 N_MEASUREMENTS = 7
@@ -310,29 +310,6 @@ def restart_vehicle(x: Floats, P: Floats, q_V: Floats, velocity: Floats, speed: 
             P[c, j] = 0.0
         P[j, j] = VEHICLE_START[j]
     x[0] = speed
-
-
-@kernel
-def move_references(x: Floats, P: Floats, q_V: Floats, q_A: Floats, errata: Errata) -> None:
-    """Put `a_V` and `a_A` into the reference quaternions and zero them (001 eqs. 4.29, 4.30).
-
-    Parameters
-    ----------
-    x : ndarray, shape (9,)
-        Overwritten.
-    P : ndarray, shape (9, 9)
-        Overwritten.
-    q_V, q_A : ndarray, shape (4,)
-        Order (x, y, z, w); overwritten.
-    errata : Errata
-        Which corrections hold.
-    """
-    turn_reference(x[3:6], q_V)
-    turn_reference(x[6:9], q_A)
-    if errata.reset:
-        transport(x[3:6], 3, P)
-        transport(x[6:9], 6, P)
-    x[3:9] = 0.0
 
 
 @kernel

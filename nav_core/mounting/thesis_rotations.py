@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from nav_core.mounting.thesis_model import N_STATES
+from nav_core.mounting.thesis_model import N_STATES, Errata
 from nav_core.typing import Floats, kernel
 
 
@@ -111,3 +111,26 @@ def transport(a: Floats, first: int, P: Floats) -> None:
         P[c, i] = s * (x - h2 * y + h1 * z)
         P[c, j] = s * (h2 * x + y - h0 * z)
         P[c, k] = s * (-h1 * x + h0 * y + z)
+
+
+@kernel
+def move_references(x: Floats, P: Floats, q_V: Floats, q_A: Floats, errata: Errata) -> None:
+    """Put `a_V` and `a_A` into the reference quaternions and zero them (001 eqs. 4.29, 4.30).
+
+    Parameters
+    ----------
+    x : ndarray, shape (9,)
+        Overwritten.
+    P : ndarray, shape (9, 9)
+        Overwritten.
+    q_V, q_A : ndarray, shape (4,)
+        Order (x, y, z, w); overwritten.
+    errata : Errata
+        Which corrections hold.
+    """
+    turn_reference(x[3:6], q_V)
+    turn_reference(x[6:9], q_A)
+    if errata.reset:
+        transport(x[3:6], 3, P)
+        transport(x[6:9], 6, P)
+    x[3:9] = 0.0

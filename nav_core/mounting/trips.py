@@ -90,7 +90,9 @@ def told_of(ticks: Ticks, gnss: Gnss, past: TripEvidence | None, noise: Noise) -
     return Told(known if share == 1.0 else _doubted(known), own, share)
 
 
-_REFUSED = frozenset({"wrong_unit", "no_gravity", "dead_accelerometer", "dead_axis", "mirrored"})
+_REFUSED = frozenset(
+    {"wrong_unit", "no_gravity", "dead_accelerometer", "dead_axis", "mirrored", "gps_speed_unit", "gps_course_unit"}
+)
 
 
 def _doubted(estimate: MountingEstimate) -> MountingEstimate:

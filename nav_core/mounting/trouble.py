@@ -21,6 +21,7 @@ from nav_core.mounting.fixes import FOLLOW_SPEED, Fixes
 from nav_core.mounting.model import GRAVITY, Noise
 from nav_core.mounting.quality import excitation, fits_a_car
 from nav_core.mounting.reasons import reason
+from nav_core.mounting.receiver import chords, frozen, slow_fixes, wrong_gps_unit
 from nav_core.mounting.refine import HUBER, Fit, refine, weigh
 from nav_core.mounting.reversing import reversals
 from nav_core.mounting.solution import EXCERPT, Solution, excerpt
@@ -29,7 +30,6 @@ from nav_core.mounting.stuck import stuck_axis
 from nav_core.records import Gnss, Reason
 from nav_core.rotation import angle_between
 from nav_core.signal import KERNEL_TICKS, Ticks, runs
-from nav_core.timebase import stale
 from nav_core.typing import Floats
 
 UNITS = {"g": 1.0, "percent of g": 100.0, "thousandths of g": 1000.0}
@@ -41,7 +41,6 @@ UNIT_SHARE = 0.15
 FLICKER = 0.35
 """Without gravity the magnitude of what is left varies by this share of its median."""
 
-SLOW_FIXES = 1.3
 SLOW_SAMPLES = 15.0
 """Hz; up to here named as slow."""
 
@@ -51,14 +50,8 @@ TOO_SLOW = 5.0
 PAUSE = 10.0
 """Longer than this between samples is a pause and no sampling, s."""
 
-LATE = 0.8
-"""A receiver later than this is named, s."""
-
 SAME = np.radians(3.0)
 """Mountings that differ by less are the same, rad."""
-
-FROZEN = 3.0
-"""Repeated fixes that last this long are named, s."""
 
 STANDING = 0.3
 TRAVELLING = 5.0
@@ -128,7 +121,7 @@ def inspect(ticks: Ticks, gnss: Gnss, fixes: Fixes) -> Trouble:
     Trouble
     """
     stuck = stuck_axis(ticks)
-    refused = wrong_unit(ticks, stuck)
+    refused = wrong_unit(ticks, stuck) or wrong_gps_unit(chords(gnss))
     if refused is not None:
         return Trouble(refused)
     remarks: list[Reason] = []
@@ -285,65 +278,6 @@ def explained(reasons: tuple[Reason, ...], ticks: Ticks, code: str = "mismatch")
     if slow is None or code not in {each.code for each in reasons} or sampling_rate(ticks) >= TOO_SLOW:
         return reasons
     return (slow, *(each for each in reasons if each.code not in (code, slow.code)))
-
-
-def slow_fixes(gnss: Gnss) -> Reason | None:
-    """Whether the receiver is slow.
-
-    Parameters
-    ----------
-    gnss : Gnss
-        Of a recording.
-
-    Returns
-    -------
-    Reason or None
-        None of a rate that is high enough, or of too few fixes.
-    """
-    t = gnss.t[gnss.fix & ~stale(gnss)]
-    if t.size < 10:
-        return None
-    rate = 1.0 / float(np.median(np.diff(t)))
-    return reason("slow_gps", f"{rate:.2g}") if rate < SLOW_FIXES else None
-
-
-def frozen(gnss: Gnss) -> Reason | None:
-    """Whether the receiver repeated old fixes for long.
-
-    Parameters
-    ----------
-    gnss : Gnss
-        Of a recording.
-
-    Returns
-    -------
-    Reason or None
-        With the time that was lost, s; None where there was none.
-    """
-    repeated = stale(gnss)
-    if not repeated.any():
-        return None
-    first, after = np.array(runs(repeated)).T
-    begin, end = gnss.t[np.maximum(first - 1, 0)], gnss.t[after - 1]
-    long = end - begin >= FROZEN
-    return reason("gps_frozen", f"{float((end - begin)[long].sum()):.0f}") if long.any() else None
-
-
-def late(speed_lag: float | None, course_lag: float | None) -> tuple[Reason, ...]:
-    """Whether the receiver is late, from lags that are known, s.
-
-    Parameters
-    ----------
-    speed_lag, course_lag : float or None
-        s; None where unknown.
-
-    Returns
-    -------
-    tuple of Reason
-        One or none.
-    """
-    worst = max(speed_lag or 0.0, course_lag or 0.0)
-    return (reason("gps_late", f"{worst:.1f}"),) if worst > LATE else ()
 
 
 def came_back(mountings: list[Floats]) -> tuple[Reason, ...]:

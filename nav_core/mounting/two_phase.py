@@ -24,6 +24,7 @@ from nav_core.mounting.fixes import gps_rate, unrolled, usable_fixes
 from nav_core.mounting.model import GRAVITY
 from nav_core.mounting.quality import USELESS, too_little
 from nav_core.mounting.reasons import reason
+from nav_core.mounting.receiver import chords, wrong_gps_unit
 from nav_core.mounting.stretch import Record, gained_between, prepare
 from nav_core.mounting.trouble import explained, wrong_unit
 from nav_core.records import Drive, MountingEstimate, Reason
@@ -95,7 +96,7 @@ def estimate(drive: Drive, road: Road | None = None) -> MountingEstimate:
         in steps of 5 s.
     """
     ticks = decimate(drive.inertial)
-    refused = wrong_unit(ticks)
+    refused = wrong_unit(ticks) or wrong_gps_unit(chords(drive.gnss))
     if refused is not None:
         return _without(0.0, refused)
     record = prepare(ticks, usable_fixes(drive.gnss))

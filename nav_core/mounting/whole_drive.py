@@ -27,6 +27,7 @@ from nav_core.mounting.quality import (
     sway,
 )
 from nav_core.mounting.reasons import reason
+from nav_core.mounting.receiver import late
 from nav_core.mounting.refine import Fit
 from nav_core.mounting.self_test import self_test
 from nav_core.mounting.solution import Solution
@@ -41,7 +42,6 @@ from nav_core.mounting.trouble import (
     explained,
     handedness,
     inspect,
-    late,
 )
 from nav_core.records import Gnss, MountingChange, MountingEstimate, Reason
 from nav_core.rotation import angle_between

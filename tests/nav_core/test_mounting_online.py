@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from nav_core.errors import ShapeError
 from nav_core.mounting import estimate_mounting, online_reference
 from nav_core.mounting.online import OnlineState, advance, advance_fleet, begin
+from nav_core.mounting.online_hearing import TRUSTED
 from nav_core.mounting.online_hypotheses import stack
 from nav_core.mounting.online_kernel import run
 from nav_core.mounting.online_model import GYRO, HYPOTHESES, N_STATES, TURN, Filters, Tuning
@@ -32,8 +33,8 @@ def drive_of(route: str, duration: float, seed: int, gyro: bool = False, rate: f
     )
 
 
-def run_through(drive: Drive, stride: float = 5.0) -> list[OnlineState]:
-    states = [begin()]
+def run_through(drive: Drive, stride: float = 5.0, first: OnlineState | None = None) -> list[OnlineState]:
+    states = [first or begin()]
     for chunk in chunks_of(drive, stride):
         states.append(advance(states[-1], chunk))
     return states[1:]
@@ -51,7 +52,7 @@ def captured_rows(drive: Drive, monkeypatch: pytest.MonkeyPatch) -> tuple[Filter
         run(filters, each, first, last, tuning, trace)
 
     monkeypatch.setattr(online, "run", listen)
-    run_through(drive)
+    run_through(drive, first=replace(begin(), gyro=TRUSTED))
     return starts[0], np.concatenate(rows)
 
 

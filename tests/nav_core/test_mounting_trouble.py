@@ -12,10 +12,12 @@ from nav_core.mounting import estimate_mounting
 from nav_core.mounting.clocks import clock_jumps
 from nav_core.mounting.fusion import joined
 from nav_core.mounting.model import Noise
+from nav_core.mounting.online_stream import fixes_where
+from nav_core.mounting.receiver import NO_CHORDS, chords, followed_on, frozen, wrong_gps_unit
 from nav_core.mounting.reversing import reversals
 from nav_core.mounting.stuck import stuck_axis
 from nav_core.mounting.trips import told_of
-from nav_core.mounting.trouble import frozen, sampling_rate
+from nav_core.mounting.trouble import sampling_rate
 from nav_core.records import Drive, Gnss, Inertial, MountingEstimate
 from nav_core.rotation import angle_between, error_between
 from nav_core.signal import decimate
@@ -245,6 +247,67 @@ def test_every_method_refuses_what_is_no_specific_force(mangle, code: str, metho
         found.reasons
         == estimate_mounting(Drive(Inertial(drive.inertial.t, mangle(drive.inertial.f)), drive.gnss)).reasons
     )
+
+
+def _received(drive: Drive, **columns: Floats) -> Drive:
+    return replace(drive, gnss=replace(drive.gnss, **columns))
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize(("unit", "many"), [("km/h", 3.6), ("knots", 1.943844), ("miles an hour", 2.236936)])
+def test_a_speed_in_another_unit_is_refused_by_name(unit: str, many: float, method: str):
+    for route, seed, rate, lag in (
+        ("urban", 71, 1.0, 0.3),
+        ("highway", 50071, 4.0, 2.0),
+        ("straight", 50072, 10.0, 0.0),
+    ):
+        drive, _ = _drive(route, 120.0, seed, gnss_rate=rate, speed_lag=lag)
+        found = estimate_mounting(_received(drive, speed=many * drive.gnss.speed), method=method)
+        assert found.status == "insufficient"
+        assert found.reasons[0].code == "gps_speed_unit"
+        assert f" {unit} " in found.reasons[0].text
+        assert _codes(found) <= {"gps_speed_unit", "gps_late"}
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_course_in_degrees_is_refused_by_name(method: str):
+    for route, seed, rate in (("urban", 71, 1.0), ("highway", 50071, 4.0), ("roundabout", 50072, 10.0)):
+        drive, _ = _drive(route, 120.0, seed, gnss_rate=rate)
+        found = estimate_mounting(_received(drive, course=np.degrees(drive.gnss.course)), method=method)
+        assert found.status == "insufficient"
+        (why,) = found.reasons
+        assert why.code == "gps_course_unit"
+        assert "in degrees" in why.text
+
+
+def test_a_course_counted_the_other_way_is_refused_by_name():
+    drive, _ = _drive("roundabout", 120.0, 50073)
+    for name, course in (("east", 0.5 * np.pi - drive.gnss.course), ("north", -drive.gnss.course)):
+        (why,) = estimate_mounting(_received(drive, course=course)).reasons
+        assert why.code == "gps_course_unit"
+        assert f"counter-clockwise from {name}" in why.text
+
+
+def test_a_receiver_that_fits_its_positions_or_has_none_has_no_wrong_unit():
+    for seed, (route, rate) in enumerate([("urban", 1.0), ("roundabout", 4.0), ("highway", 10.0), ("straight", 1.0)]):
+        for lags in ((2.0, 0.3), (0.3, 2.0)):
+            drive, _ = _drive(route, 120.0, 50080 + seed, gnss_rate=rate, speed_lag=lags[0], course_lag=lags[1])
+            gnss = drive.gnss
+            assert wrong_gps_unit(chords(gnss)) is None
+            assert wrong_gps_unit(chords(replace(gnss, course=gnss.course + 4.0 * np.pi))) is None
+            assert wrong_gps_unit(chords(replace(gnss, course=np.full(gnss.t.size, 1.0)))) is None
+            assert wrong_gps_unit(chords(replace(gnss, lat=0.0 * gnss.lat, lon=0.0 * gnss.lon))) is None
+
+
+def test_the_chords_of_a_stream_are_those_of_the_drive():
+    drive, _ = _drive("urban", 120.0, 71, gnss_rate=1.0)
+    whole, told = chords(drive.gnss), NO_CHORDS
+    for end in np.arange(7.0, 127.0, 7.0):
+        since = (drive.gnss.t > end - 14.0) & (drive.gnss.t < end)
+        told = followed_on(told, fixes_where(drive.gnss, since))
+    for one, other in zip(whole, told, strict=True):
+        np.testing.assert_allclose(one[: other.size], other)
+    assert told.t.size >= whole.t.size - 1
 
 
 @pytest.mark.parametrize("number", [0.0, 1.7])
