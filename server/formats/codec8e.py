@@ -58,13 +58,15 @@ def is_codec8e(body: bytes) -> bool:
 
 def read(body: bytes, *, max_decoded_bytes: int | None) -> Columns:
     """Columns of one or more packets."""
-    if len(body) > 2 * _MAX_BYTES:
-        raise TooLargeError(f"{len(body)} bytes of Codec 8E; at most {2 * _MAX_BYTES} at once")
+    if len(body) > 4 * _MAX_BYTES:  # digits, and blanks between them
+        raise _too_large(len(body))
     if _HEX.fullmatch(body):
         text = b"".join(body.split())
         if len(text) % 2:
             raise _bad("an odd number of hexadecimal digits", len(text) // 2)
         body = bytes.fromhex(text.decode())
+    if len(body) > _MAX_BYTES:
+        raise _too_large(len(body))
     records: list[_Record] = []
     at = 17 if _IMEI.match(body) else 0
     while at < len(body):
@@ -74,6 +76,10 @@ def read(body: bytes, *, max_decoded_bytes: int | None) -> Columns:
     samples = sum(len(record.trace) for record in records if record.trace is not None)
     check_size(len(records) + samples, 14, max_decoded_bytes)
     return _columns(records)
+
+
+def _too_large(size: int) -> TooLargeError:
+    return TooLargeError(f"{size} bytes of Codec 8E; at most {_MAX_BYTES} at once")
 
 
 def _bad(what: str, at: int) -> InvalidError:
