@@ -129,7 +129,7 @@ def _records(body: bytes, max_decoded_bytes: int | None) -> Iterator[tuple[int, 
     for begin, kind, content in _walked(whole, len(MAGIC)):
         yield kind, content
         if kind == _FOOTER:
-            if whole[begin + _RECORD.size + len(content) :][: len(MAGIC)] != MAGIC:
+            if not body.startswith(MAGIC, begin + _RECORD.size + len(content)):
                 raise _bad("it does not end as MCAP does")
             return
         if kind == _DATA_END:
@@ -226,7 +226,7 @@ class _Cdr:
     """ROS 2's wire format: values aligned by their size, from behind the four bytes that tell it."""
 
     def __init__(self, data: memoryview) -> None:
-        if data[:2] != _CDR_LITTLE:
+        if bytes(data[:2]) != _CDR_LITTLE:
             raise InvalidError("A CDR message that is not little endian", code="mcap")
         self._data, self._at = data[4:], 0
         self._pass(8)  # the stamp of the sensor's driver

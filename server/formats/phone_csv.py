@@ -21,7 +21,7 @@ from server.errors import InvalidError
 from server.formats.columns import Columns, Floats, check_size
 from server.formats.lines import check_lines, first_line, lines_of
 from server.formats.phone_sign import Sign, specific_force_sign
-from server.formats.tables import CSV_BLOCK_BYTES, Filled
+from server.formats.tables import CSV_BLOCK_BYTES, Filled, Table
 from server.formats.thesis_line import held
 
 _GRAVITY = 9.80665
@@ -212,7 +212,7 @@ def _values(body: bytes, header: list[str], delimiter: str, sources: list[_Sourc
     return {index: column.values for index, column in filled.items()}
 
 
-def _added(filled: Filled, source: _Source, block: pa.RecordBatch, delimiter: str) -> bool:
+def _added(filled: Filled, source: _Source, block: Table, delimiter: str) -> bool:
     """Add a block's values of a column; False where they are none, and need not be."""
     texts = block.column(f"c{source.index}")
     try:

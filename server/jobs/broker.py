@@ -148,7 +148,9 @@ def run_consumer(
 
         message = CurrentMessage.get_current_message()
         assert message is not None
-        job = Job(message.message_id, device_id, message.queue_name, known(message.options))
+        # Somebody had it and gave no answer: died at it, or with it waiting, or lost the broker.
+        again = bool(getattr(message, "redelivered", False))
+        job = Job(message.message_id, device_id, message.queue_name, known(message.options), again=again)
         run_job(database, job, rounds, clock=clock)
 
     # The lower number goes first among the messages that this worker has fetched.
