@@ -233,7 +233,7 @@ def _convert(
     """Bring the columns of one quantity to SI, by the unit in the header or what the values tell."""
     if not group:
         return
-    columns = {source.name: values[source.index] for source in group}
+    columns = {source.name: values.pop(source.index) for source in group}
     told = group[0].unit
     if quantity == "speed" and told is None:
         taken |= columns  # once the positions are there
@@ -242,7 +242,9 @@ def _convert(
     factor = _UNITS.get(quantity, {}).get(unit, 1.0)
     if told is None and quantity in _UNITS:
         remarks.append(Remark(f"{quantity}_unit_detected", f"No unit in the header; the values look like {unit}"))
-    taken |= {name: factor * column for name, column in columns.items()}
+    for column in columns.values():
+        np.multiply(column, factor, out=column)  # in its place: a file may be large
+    taken |= columns
 
 
 _TYPICAL = {
@@ -280,11 +282,15 @@ def _guess_time(typical: float, steps: Floats) -> str:
 def _finished(taken: dict[str, Floats], sources: list[_Source], remarks: list[Remark]) -> Columns:
     """Rows with a time, whole vectors, reports taken once, the sign of the force."""
     timed = np.isfinite(taken["t"])
-    values = {name: column[timed] for name, column in taken.items()}
+    if not timed.any():
+        raise InvalidError("There is no row with a time", code="empty")
+    values = taken
     if not timed.all():
+        values = {name: column[timed] for name, column in taken.items()}
         remarks.append(Remark("rows_without_time", f"{int(np.count_nonzero(~timed))} rows without a time left out"))
-    order = np.argsort(values["t"], kind="stable")
-    values = {name: column[order] for name, column in values.items()}
+    if (np.diff(values["t"]) < 0.0).any():
+        order = np.argsort(values["t"], kind="stable")
+        values = {name: column[order] for name, column in values.items()}
     for triad in _TRIADS:
         if all(name in values for name in triad):
             whole = np.isfinite([values[name] for name in triad])

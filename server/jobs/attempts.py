@@ -52,11 +52,12 @@ def _begin(session: Session, job: Job, now: dt.datetime) -> Leave:
     if attempt is None:
         session.add(JobAttempt(device_id=job.device_id, unanswered=1, job_id=job.id, began_at=now))
         return Leave(True, True)
-    dead = job.alone or attempt.job_id == job.id or attempt.began_at < now - FORGOTTEN
+    failure = session.get(JobFailure, job.device_id, with_for_update=True)
+    counted = failure is not None and failure.last_at > attempt.began_at
+    dead = counted or job.alone or attempt.job_id == job.id or attempt.began_at < now - FORGOTTEN
     deaths = attempt.unanswered if dead else attempt.unanswered - 1
     if deaths >= DEATHS:
-        failure = session.get(JobFailure, job.device_id, with_for_update=True)
-        if failure is None or failure.last_at <= attempt.began_at:
+        if failure is None or not counted:
             count_death(session, job, deaths, now=now)
             log.error("box left alone: workers die at it", device_id=job.device_id, deaths=deaths)
             return Leave(False, False)
