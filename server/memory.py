@@ -12,6 +12,8 @@ _TRIM_THRESHOLD, _MMAP_THRESHOLD, _ARENA_MAX = -1, -3, -8
 KEPT_BYTES = 256 * 1024 * 1024
 ARRAY_BYTES = 32 * 1024 * 1024
 HEAPS = 2
+UPLOAD_BYTES = 2 * 1024 * 1024
+"""Arrays of an ordinary upload are smaller, those of one near the limits larger."""
 
 
 def keep_freed_memory() -> bool:
@@ -30,7 +32,10 @@ def share_heaps() -> bool:
     room for the largest upload that a thread of it ever had, and which thread has the next is chance: memory goes on
     growing for ten thousand uploads.
     """
-    if not _tell_glibc({_ARENA_MAX: HEAPS}):
+    # What is larger goes back to the system at once: by itself glibc raises that bound with each that it sees, up to
+    # 32 MiB, and keeps the holes that uploads near the limits leave.
+    bounds = {_MMAP_THRESHOLD: UPLOAD_BYTES, _TRIM_THRESHOLD: 8 * UPLOAD_BYTES}
+    if not _tell_glibc({_ARENA_MAX: HEAPS, **bounds}):
         return False
     import pyarrow as pa  # here, because the worker needs it only for some of its work
 

@@ -14,12 +14,13 @@ from dataclasses import dataclass
 import numpy as np
 import pyarrow as pa
 
-from server.errors import InvalidError
+from server.errors import InvalidError, TooLargeError
 from server.formats.columns import NAMES, Columns, Floats, check_names, check_size, not_finite
 from server.formats.encoding import unpack
 
 _CONTINUATION = 0xFFFFFFFF
 _MAX_METADATA_BYTES = 256 * 1024
+_MAX_BATCHES = 10_000
 _BUFFER = struct.Struct("<qq")
 _SCHEMA, _RECORD_BATCH = 1, 3
 _HEADER_KINDS = {2: "dictionary batch", 4: "tensor", 5: "sparse tensor"}
@@ -55,20 +56,18 @@ def read(body: bytes, *, max_decoded_bytes: int) -> Columns:
     """Columns of an Arrow stream."""
     try:
         fields, batches = _stream(memoryview(body), max_decoded_bytes)
-        parts: dict[str, list[Floats]] = {field.name: [] for field in fields}
+        columns = {field.name: np.empty(sum(batch.rows for batch in batches)) for field in fields}
         first = 0
         for batch in batches:
             at = 0
             for field in fields:
                 buffers = batch.buffers[at : at + field.buffers]
-                if len(buffers) != field.buffers:
-                    raise _bad("a batch has too few buffers")
-                parts[field.name].append(_values(field, batch, buffers, first))
+                _fill(columns[field.name][first : first + batch.rows], field, batch, buffers, first)
                 at += field.buffers
             first += batch.rows
     except struct.error:
         raise _bad("a message is cut off") from None
-    return Columns({name: np.concatenate(column) if column else np.zeros(0) for name, column in parts.items()})
+    return Columns(columns)
 
 
 def _bad(what: str) -> InvalidError:
@@ -100,7 +99,9 @@ def _stream(data: memoryview, max_decoded_bytes: int) -> tuple[list[_Field], lis
         if kind == _SCHEMA and fields is None:
             fields = _schema(metadata, header)
         elif kind == _RECORD_BATCH and fields is not None:
-            batch = _batch(metadata, header, data[at : at + body_size])
+            if len(batches) == _MAX_BATCHES:
+                raise TooLargeError(f"A stream of more than {_MAX_BATCHES} batches")
+            batch = _batch(metadata, header, data[at : at + body_size], sum(field.buffers for field in fields))
             rows, unpacked = rows + batch.rows, unpacked + _measure(batch)
             check_size(rows, len(fields), max_decoded_bytes)
             check_size(unpacked // 8, 1, max_decoded_bytes)
@@ -194,11 +195,13 @@ def _column(data: memoryview, field: int) -> _Field:
     return _Field(name, dtype)
 
 
-def _batch(data: memoryview, header: int, body: memoryview) -> _Batch:
+def _batch(data: memoryview, header: int, body: memoryview, expected: int) -> _Batch:
     rows = _number(data, header, 0, "<q")
     if rows < 0:
         raise _bad(f"a batch of {rows} rows")
     begin, count = _vector(data, _child(data, header, 2), _BUFFER.size)
+    if count != expected:
+        raise _bad(f"a batch has {count} buffers, its columns {expected}")
     buffers = [_BUFFER.unpack_from(data, begin + index * _BUFFER.size) for index in range(count)]
     for offset, length in buffers:
         if offset < 0 or length < 0 or offset + length > len(body):
@@ -228,15 +231,15 @@ def _unpacked_size(batch: _Batch, offset: int, length: int) -> int:
     return length - 8 if size < 0 else int(size)
 
 
-def _bytes(batch: _Batch, buffer: tuple[int, int]) -> bytes:
+def _bytes(batch: _Batch, buffer: tuple[int, int]) -> bytes | memoryview:
     """A buffer, unpacked."""
     offset, length = buffer
     data = batch.body[offset : offset + length]
     if batch.codec is None or length < 8:
-        return bytes(data)
+        return data
     size = _unpacked_size(batch, offset, length)
     if struct.unpack_from("<q", data)[0] < 0:
-        return bytes(data[8:])
+        return data[8:]
     if batch.codec == _ZSTD:
         unpacked = unpack(bytes(data[8:]), "zstd", max_bytes=size)
     else:
@@ -249,26 +252,29 @@ def _bytes(batch: _Batch, buffer: tuple[int, int]) -> bytes:
     return unpacked
 
 
-def _values(field: _Field, batch: _Batch, buffers: list[tuple[int, int]], first: int) -> Floats:
-    """A column of a batch, NaN for null; a NaN or infinity that was sent is refused where it stands."""
+def _fill(out: Floats, field: _Field, batch: _Batch, buffers: list[tuple[int, int]], first: int) -> None:
+    """Put a batch's column where it belongs, NaN for null; a NaN or infinity that was sent is refused."""
     rows = batch.rows
     if field.dtype is None or rows == 0:
-        return np.full(rows, np.nan)
+        out.fill(np.nan)
+        return
     validity, data = (_bytes(batch, buffer) for buffer in buffers)
     if field.is_flag:
-        values = _bits(data, rows).astype(np.float64)
+        out[:] = _bits(data, rows)
     else:
         if len(data) < rows * field.dtype.itemsize:
             raise _bad(f"column {field.name!r} has fewer values than rows")
-        values = np.frombuffer(data, field.dtype, rows).astype(np.float64)
-    valid = _bits(validity, rows) if validity else np.ones(rows, dtype=np.bool_)
-    bad = ~np.isfinite(values) & valid
+        out[:] = np.frombuffer(data, field.dtype, rows)
+    bad = ~np.isfinite(out)
+    if validity:
+        valid = _bits(validity, rows)
+        out[~valid] = np.nan
+        bad &= valid
     if bad.any():
         raise not_finite(field.name, first + int(np.argmax(bad)))
-    return np.where(valid, values, np.nan)
 
 
-def _bits(data: bytes, rows: int) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+def _bits(data: bytes | memoryview, rows: int) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
     if len(data) * 8 < rows:
         raise _bad("a bitmap is shorter than its rows")
     return np.unpackbits(np.frombuffer(data, np.uint8), count=rows, bitorder="little").astype(np.bool_)

@@ -25,6 +25,7 @@ _FRAME = struct.Struct(">II")
 _RECORD = struct.Struct(">QBiihHBH")
 _IMEI = re.compile(rb"\x00\x0f[0-9]{15}")
 _HEX = re.compile(rb"[0-9A-Fa-f\s]+")
+_BLANKS = b" \t\n\r\v\f"
 _MAX_BYTES = 2 * 1024 * 1024  # the checksum is computed byte by byte
 
 _IGNITION, _GNSS_STATUS, _SUPPLY_MV, _BATTERY_MV, _HDOP, _CRASH_TRACE = 239, 69, 66, 67, 182, 257
@@ -58,13 +59,15 @@ def is_codec8e(body: bytes) -> bool:
 
 def read(body: bytes, *, max_decoded_bytes: int | None) -> Columns:
     """Columns of one or more packets."""
-    if len(body) > 2 * _MAX_BYTES:
-        raise TooLargeError(f"{len(body)} bytes of Codec 8E; at most {2 * _MAX_BYTES} at once")
+    if len(body) > 4 * _MAX_BYTES:  # digits, and blanks between them
+        raise _too_large(len(body))
     if _HEX.fullmatch(body):
-        text = b"".join(body.split())
+        text = body.translate(None, _BLANKS)
         if len(text) % 2:
             raise _bad("an odd number of hexadecimal digits", len(text) // 2)
         body = bytes.fromhex(text.decode())
+    if len(body) > _MAX_BYTES:
+        raise _too_large(len(body))
     records: list[_Record] = []
     at = 17 if _IMEI.match(body) else 0
     while at < len(body):
@@ -74,6 +77,10 @@ def read(body: bytes, *, max_decoded_bytes: int | None) -> Columns:
     samples = sum(len(record.trace) for record in records if record.trace is not None)
     check_size(len(records) + samples, 14, max_decoded_bytes)
     return _columns(records)
+
+
+def _too_large(size: int) -> TooLargeError:
+    return TooLargeError(f"{size} bytes of Codec 8E; at most {_MAX_BYTES} at once")
 
 
 def _bad(what: str, at: int) -> InvalidError:
@@ -148,19 +155,25 @@ def _record(cursor: _Cursor) -> _Record:
 def _columns(records: list[_Record]) -> Columns:
     remarks: list[Remark] = []
     rows = [_row(record) for record in records]
+    count, total = len(rows), len(rows) + sum(len(record.trace) for record in records if record.trace is not None)
+    names = {name for row in rows for name in row}
+    columns = {name: np.full(total, np.nan) for name in names}
+    for name in names:
+        columns[name][:count] = [row.get(name, np.nan) for row in rows]
     traces = [record for record in records if record.trace is not None and len(record.trace)]
     if traces:
         period_s = _period_s(traces, remarks)
+        for name in ("fx", "fy", "fz"):
+            columns.setdefault(name, np.full(total, np.nan))
+        begin = count
         for record in traces:
             assert record.trace is not None
-            rows.extend(
-                {"t": record.t + index * period_s, "fx": x, "fy": y, "fz": z}
-                for index, (x, y, z) in enumerate(record.trace.tolist())
-            )
-    rows.sort(key=lambda row: row["t"])
-    names = {name for row in rows for name in row}
-    columns = {name: np.array([row.get(name, np.nan) for row in rows]) for name in names}
-    return Columns(columns, tuple(remarks), _named(records))
+            place = slice(begin, begin := begin + len(record.trace))
+            columns["t"][place] = record.t + period_s * np.arange(len(record.trace))
+            for name, axis in zip(("fx", "fy", "fz"), record.trace.T, strict=True):
+                columns[name][place] = axis
+    order = np.argsort(columns["t"], kind="stable")
+    return Columns({name: column[order] for name, column in columns.items()}, tuple(remarks), _named(records))
 
 
 def _named(records: list[_Record]) -> dict[str, tuple[Floats, Floats]]:

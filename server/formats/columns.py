@@ -159,11 +159,6 @@ def check_size(rows: int, columns: int, max_decoded_bytes: int | None) -> None:
         raise TooLargeError(f"{rows} rows of {columns} columns are more than {max_decoded_bytes} bytes once decoded")
 
 
-def lines_of(body: bytes) -> int:
-    """How many lines a text has at most, counted without making them; CR ends one as well as LF."""
-    return body.count(b"\n") + body.count(b"\r") - body.count(b"\r\n") + 1
-
-
 def not_finite(column: str, row: int) -> InvalidError:
     """NaN or infinity came in where a number or nothing is allowed."""
     return InvalidError(

@@ -52,24 +52,26 @@ def read(body: bytes, *, max_decoded_bytes: int | None) -> Columns:
     rows = sum(layout.rows for layout in layouts)
     names = {column.name for layout in layouts for column in layout.columns}
     check_size(rows, len(names) + 1, max_decoded_bytes)
+    ticks, places = _merged(np.concatenate([layout.ticks(body) for layout in layouts]))
+    t = ticks / ticks_per_s
+    del ticks  # as large as a column
     values = dict(zip(names, np.full((len(names), rows), np.nan), strict=True))
-    ticks, places = _merged([layout.ticks(body) for layout in layouts])
-    for layout, place in zip(layouts, places, strict=True):
+    ends = itertools.accumulate(layout.rows for layout in layouts)
+    for layout, end in zip(layouts, ends, strict=True):
+        block = slice(end - layout.rows, end)
         for column in layout.columns:
-            values[column.name][place] = column.values(body, layout.rows)
-    return Columns({"t": ticks / ticks_per_s, **values})
+            values[column.name][block if places is None else places[block]] = column.values(body, layout.rows)
+    return Columns({"t": t, **values})
 
 
-def _merged(ticks: list[Ticks]) -> tuple[Ticks, list[Ticks | slice]]:
-    """The ticks of all blocks in the order of time, and where each block's rows are among them."""
-    if len(ticks) == 1:
-        return ticks[0], [slice(None)]
-    together = np.concatenate(ticks)
-    order = np.argsort(together, kind="stable")
+def _merged(ticks: Ticks) -> tuple[Ticks, NDArray[np.int32] | None]:
+    """The ticks of all blocks in the order of time, and which place each row has there; None for its own."""
+    if (ticks[1:] >= ticks[:-1]).all():
+        return ticks, None
+    order = np.argsort(ticks, kind="stable").astype(np.int32)  # no body holds so many rows
     places = np.empty_like(order)
-    places[order] = np.arange(order.size)
-    ends = itertools.accumulate(block.size for block in ticks)
-    return together[order], [places[end - block.size : end] for block, end in zip(ticks, ends, strict=True)]
+    places[order] = np.arange(order.size, dtype=np.int32)
+    return ticks[order], places
 
 
 def _bad(what: str) -> InvalidError:

@@ -6,8 +6,9 @@ import pyarrow as pa
 from pyarrow import csv
 
 from server.errors import InvalidError
-from server.formats.columns import NAMES, Columns, check_names, check_size, lines_of
-from server.formats.tables import column_of
+from server.formats.columns import NAMES, Columns, check_names, check_size
+from server.formats.lines import check_lines, first_line, lines_of
+from server.formats.tables import CSV_BLOCK_BYTES, Filled
 
 _MAX_HEADER_BYTES = 4096
 _BOM = b"\xef\xbb\xbf"
@@ -15,7 +16,7 @@ _BOM = b"\xef\xbb\xbf"
 
 def header_of(body: bytes) -> tuple[str, ...]:
     """Column names of the first line."""
-    line = body[:_MAX_HEADER_BYTES].removeprefix(_BOM).split(b"\n", 1)[0]
+    line = first_line(body, _MAX_HEADER_BYTES).removeprefix(_BOM)
     return tuple(name.strip().strip('"') for name in line.decode("utf-8", "replace").strip().split(","))
 
 
@@ -25,13 +26,16 @@ def read(body: bytes, *, max_decoded_bytes: int | None) -> Columns:
     if len(set(names)) != len(names) or len(names) > len(NAMES):
         raise InvalidError("A column is there twice, or there are too many", code="columns")
     check_names(names)
-    check_size(lines_of(body), len(names), max_decoded_bytes)
+    lines = lines_of(body)
+    check_size(lines, len(names), max_decoded_bytes)
+    check_lines(body, "csv")
+    filled = {name: Filled(name, lines) for name in names}
     try:
-        table = csv.read_csv(
+        blocks = csv.open_csv(
             pa.BufferReader(body),
-            # One block and one thread: only then can an error name its row.
+            # One thread: only then can an error name its row.
             read_options=csv.ReadOptions(
-                use_threads=False, block_size=max(len(body), 1), column_names=list(names), skip_rows=1
+                use_threads=False, block_size=CSV_BLOCK_BYTES, column_names=list(names), skip_rows=1
             ),
             parse_options=csv.ParseOptions(newlines_in_values=False),
             convert_options=csv.ConvertOptions(
@@ -41,6 +45,9 @@ def read(body: bytes, *, max_decoded_bytes: int | None) -> Columns:
                 check_utf8=True,
             ),
         )
+        for block in blocks:
+            for name, column in filled.items():
+                column.add(block.column(name))
     except pa.ArrowInvalid as error:
         raise InvalidError(f"Not readable CSV: {str(error)[:200]}", code="csv") from error
-    return Columns({name: column_of(name, table.column(name)) for name in names})
+    return Columns({name: column.values for name, column in filled.items()})

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import json
+import re
 from types import NoneType
 from typing import Any, cast
 
@@ -13,16 +13,22 @@ from server.errors import InvalidError
 from server.formats.columns import NAMES, Columns, Floats, check_names, check_size, not_finite
 
 _NUMBERS = frozenset({int, float, NoneType})
+_NUMBER_BYTES, _NULL_BYTES = 32, 16
+"""What a value takes while it is read: its place in a list, the object, and its place in a column."""
+_MAX_MARKS = 1000
+"""Quotes, and lists and objects, of a body; an honest one has less than a tenth of that."""
+_MAX_NAME_BYTES = 100
+_WORDS = re.compile(rb"NaN|Infinity")
+_NAME_BEFORE = re.compile(rb'"([^"\\]*)"\s*:\s*\Z')
 
 
 def read(body: bytes, *, max_decoded_bytes: int) -> Columns:
     """Columns of a JSON document."""
-    # Every value but a list's first follows a comma: so many objects the parser will make.
-    check_size(body.count(b","), 1, max_decoded_bytes)
+    _check_parts(body, max_decoded_bytes)
     try:
         document = orjson.loads(body)
     except orjson.JSONDecodeError as error:
-        _locate_not_finite(body)
+        _locate_not_finite(body, error)
         raise InvalidError(f"Not JSON: {error}", code="json") from None
     columns = _columns(document)
     # All that stands in quotes are the names: one that is there twice was dropped by the parser.
@@ -31,13 +37,33 @@ def read(body: bytes, *, max_decoded_bytes: int) -> Columns:
     return columns
 
 
-def _locate_not_finite(body: bytes) -> None:
+def _check_parts(body: bytes, max_decoded_bytes: int) -> None:
+    """Raise before the parser makes objects that would not fit: each value but a list's first follows a comma."""
+    commas = body.count(b",")
+    if commas * _NUMBER_BYTES > max_decoded_bytes:
+        # A null in a text between quotes has a comma too, and so does not hide a number.
+        nulls = body.count(b",null") + body.count(b", null")
+        told = commas * _NULL_BYTES + (commas - nulls) * (_NUMBER_BYTES - _NULL_BYTES)
+        check_size(told // 8, 1, max_decoded_bytes)
+    if max(body.count(b'"'), body.count(b"[") + body.count(b"{")) > _MAX_MARKS:
+        raise InvalidError("More names, lists or objects than columns could have", code="json")
+    begin = -1
+    while (begin := body.find(b'"', begin + 1)) >= 0:
+        end = body.find(b'"', begin + 1)
+        if not 0 <= end - begin <= _MAX_NAME_BYTES:
+            raise InvalidError(f"A name without end, or of more than {_MAX_NAME_BYTES} bytes", code="json")
+        begin = end
+
+
+def _locate_not_finite(body: bytes, error: orjson.JSONDecodeError) -> None:
     """Raise with the place of a NaN or infinity: many writers emit them as words that JSON does not have."""
-    try:
-        document = json.loads(body.decode())
-    except (ValueError, RecursionError):
+    at = error.pos
+    if not body.isascii() or not ("infinity" in error.msg or _WORDS.match(body, at)):
         return
-    _columns(document)
+    begin = body.rfind(b"[", 0, at)
+    name = _NAME_BEFORE.search(body, max(0, begin - 2 * _MAX_NAME_BYTES), max(0, begin))
+    if name is not None:
+        raise not_finite(name[1].decode(), body.count(b",", begin, at))
 
 
 def _columns(document: object) -> Columns:
@@ -48,7 +74,8 @@ def _columns(document: object) -> Columns:
         raise InvalidError('"columns" is not an object', code="json")
     named = cast("dict[str, Any]", columns)
     check_names(named)
-    return Columns({name: _column(name, named[name]) for name in NAMES if name in named})
+    # Each list is let go when it has become a column.
+    return Columns({name: _column(name, named.pop(name)) for name in NAMES if name in named})
 
 
 def _column(name: str, values: object) -> Floats:
@@ -60,14 +87,4 @@ def _column(name: str, values: object) -> Floats:
         raise InvalidError(
             f"Column {name!r}, row {row} (from 0) is neither a number nor null", code="columns", column=name, row=row
         )
-    try:
-        column = np.array(listed, dtype=np.float64)  # None becomes NaN
-    except OverflowError:
-        row = next(index for index, value in enumerate(listed) if type(value) is int and abs(value) > 10**300)
-        raise not_finite(name, row) from None
-    bad = ~np.isfinite(column)
-    if bad.any():
-        for row in np.flatnonzero(bad):
-            if listed[int(row)] is not None:
-                raise not_finite(name, int(row))
-    return column
+    return np.array(listed, dtype=np.float64)  # None becomes NaN; the parser makes no other, and no infinity

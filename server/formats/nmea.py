@@ -15,7 +15,8 @@ import numpy as np
 
 from nav_core.records import Remark
 from server.errors import InvalidError
-from server.formats.columns import Columns, check_size, lines_of
+from server.formats.columns import Columns, check_size
+from server.formats.lines import lines_of
 
 _SENTENCE = re.compile(
     r"\s*(?:(?P<stamp>\d{1,12}(?:\.\d{1,9})?)[\s,;:]+)?"
@@ -26,6 +27,7 @@ _ANGLE = re.compile(r"(\d{1,3})(\d{2}(?:\.\d{1,9})?)")
 _NUMBER = re.compile(r"-?\d{1,9}(?:\.\d{0,9})?")
 _KNOT_MPS = 1852.0 / 3600.0
 _DAY_S = 86_400.0
+_MAX_LINE_BYTES = 1024
 _KINDS = frozenset({"GGA", "RMC", "VTG", "GNS", "ZDA"})
 
 
@@ -54,10 +56,11 @@ def read(body: bytes, *, max_decoded_bytes: int | None) -> Columns:
     reports: list[_Report] = []
     first_bad = 0
     for number, raw in enumerate(body.splitlines(), start=1):
-        line = raw.decode("ascii", "replace")
-        if not line.strip():
+        if not raw or raw.isspace():
             continue
-        why = _take(line, reports)
+        # The pattern would be tried at every place of a line of megabytes.
+        long = len(raw) > _MAX_LINE_BYTES
+        why = "no NMEA sentence" if long else _take(raw.decode("ascii", "replace"), reports)
         if why is not None:
             left_out[why] += 1
             first_bad = first_bad or number

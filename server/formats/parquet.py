@@ -26,18 +26,24 @@ def read_columns(body: bytes, names: Sequence[str]) -> dict[str, Floats]:
 def read(body: bytes, *, max_decoded_bytes: int | None) -> Columns:
     """Columns of a Parquet file that anybody may have sent: looked through before it is opened."""
     names = check(body, max_decoded_bytes)
-    return Columns(_opened(body, names))
+    try:
+        file = pq.ParquetFile(pa.BufferReader(body))
+        # One after the other: what is large is there twice for a column only.
+        return Columns(
+            {name: column_of(name, file.read(columns=[name], use_threads=False).column(0)) for name in names}
+        )
+    except (pa.ArrowException, OSError, ValueError) as error:
+        raise _bad(error) from error
 
 
 def read_stored(body: bytes) -> Columns:
     """Columns of a file that `write` made; whoever needs to know that it is whole compares their hash."""
-    return Columns(_opened(body, None))
-
-
-def _opened(body: bytes, names: Sequence[str] | None) -> dict[str, Floats]:
-    """The columns of a file by name, all of them unless some are named."""
     try:
         table = pq.ParquetFile(pa.BufferReader(body)).read(use_threads=False)
-        return {name: column_of(name, table.column(name)) for name in names or table.column_names}
+        return Columns({name: column_of(name, table.column(name)) for name in table.column_names})
     except (pa.ArrowException, OSError, ValueError) as error:
-        raise InvalidError(f"Not readable Parquet: {str(error)[:200]}", code="parquet") from error
+        raise _bad(error) from error
+
+
+def _bad(error: Exception) -> InvalidError:
+    return InvalidError(f"Not readable Parquet: {str(error)[:200]}", code="parquet")

@@ -8,6 +8,7 @@ Parquet's parquet.thrift.
 
 from __future__ import annotations
 
+import io
 import struct
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -37,7 +38,8 @@ Fields = dict[int, Writable]
 
 def write(columns: Columns) -> bytes:
     """Columns as Parquet: zstd, null where not sampled, the same bytes for the same columns and libraries."""
-    out = bytearray(_MAGIC)
+    out = io.BytesIO()
+    out.write(_MAGIC)
     compressor = zstandard.ZstdCompressor(level=_LEVEL)
     groups: list[Writable] = []
     written = dict.fromkeys(columns.values, 0)
@@ -56,7 +58,8 @@ def write(columns: Columns) -> bytes:
     leaves: list[Writable] = [{1: _DOUBLE, 3: _OPTIONAL, 4: name.encode()} for name in columns.values]
     schema: list[Writable] = [{4: b"schema", 5: len(leaves)}, *leaves]
     footer = packed({1: 1, 2: schema, 3: Long(columns.rows), 4: groups, 6: b"scatola"})
-    return bytes(out) + footer + struct.pack("<I", len(footer)) + _MAGIC
+    out.write(footer + struct.pack("<I", len(footer)) + _MAGIC)
+    return out.getvalue()
 
 
 @dataclass(slots=True)
@@ -94,16 +97,18 @@ class _Levels(NamedTuple):
     content: bytes
 
 
-def _chunk(out: bytearray, compressor: zstandard.ZstdCompressor, name: str, present: Floats, levels: _Levels) -> _Chunk:
+def _chunk(
+    out: io.BytesIO, compressor: zstandard.ZstdCompressor, name: str, present: Floats, levels: _Levels
+) -> _Chunk:
     """Append a column's pages."""
     numbered = None if name in _CLOCKS else _numbered(present)
-    made = _Chunk(name, levels.rows, _BYTE_STREAM_SPLIT if numbered is None else _RLE_DICTIONARY, len(out))
+    made = _Chunk(name, levels.rows, _BYTE_STREAM_SPLIT if numbered is None else _RLE_DICTIONARY, out.tell())
 
     def page(content: bytes, kind: int, header: Fields) -> None:
         pressed = compressor.compress(content)
         head = packed({1: kind, 2: len(content), 3: len(pressed), **header})
-        out.extend(head)
-        out.extend(pressed)
+        out.write(head)
+        out.write(pressed)
         made.unpacked += len(head) + len(content)
         made.packed += len(head) + len(pressed)
 
@@ -112,7 +117,7 @@ def _chunk(out: bytearray, compressor: zstandard.ZstdCompressor, name: str, pres
     else:
         dictionary, content = numbered
         page(dictionary.tobytes(), _DICTIONARY_PAGE, {7: {1: dictionary.size, 2: _PLAIN}})
-    made.data_begin = len(out)
+    made.data_begin = out.tell()
     page(levels.content + content, _DATA_PAGE, {5: {1: levels.rows, 2: made.encoding, 3: _RLE, 4: _RLE}})
     return made
 

@@ -18,9 +18,10 @@ from pyarrow import compute, csv
 
 from nav_core.records import Remark
 from server.errors import InvalidError
-from server.formats.columns import Columns, Floats, check_size, lines_of
+from server.formats.columns import Columns, Floats, check_size
+from server.formats.lines import check_lines, first_line, lines_of
 from server.formats.phone_sign import Sign, specific_force_sign
-from server.formats.tables import column_of
+from server.formats.tables import CSV_BLOCK_BYTES, Filled, Table
 from server.formats.thesis_line import held
 
 _GRAVITY = 9.80665
@@ -83,6 +84,7 @@ def read(body: bytes, *, max_decoded_bytes: int | None) -> Columns:
     if not any(source.name == "t" for source in sources):
         raise InvalidError("No column of the header is a time", code="phone_csv")
     check_size(lines_of(body), len(sources), max_decoded_bytes)
+    check_lines(body, "phone_csv")
     values = _values(body, header, delimiter, sources)
     remarks: list[Remark] = []
     taken: dict[str, Floats] = {}
@@ -94,7 +96,7 @@ def read(body: bytes, *, max_decoded_bytes: int | None) -> Columns:
 
 def _header(body: bytes) -> tuple[list[str], str]:
     """Names of the first line, and what separates them."""
-    line = body[:_MAX_HEADER_BYTES].removeprefix(b"\xef\xbb\xbf").split(b"\n", 1)[0].rstrip(b"\r")
+    line = first_line(body, _MAX_HEADER_BYTES).removeprefix(b"\xef\xbb\xbf")
     try:
         text = line.decode()
     except UnicodeDecodeError:
@@ -185,11 +187,12 @@ def _values(body: bytes, header: list[str], delimiter: str, sources: list[_Sourc
     """Numbers of the columns that are taken, by their index."""
     names = [f"c{index}" for index in range(len(header))]
     wanted = [names[source.index] for source in sources]
+    filled = {source.index: Filled(source.name, lines_of(body)) for source in sources}
     try:
-        table = csv.read_csv(
+        blocks = csv.open_csv(
             pa.BufferReader(body),
             read_options=csv.ReadOptions(
-                use_threads=False, block_size=max(len(body), 1), column_names=names, skip_rows=1, encoding="latin-1"
+                use_threads=False, block_size=CSV_BLOCK_BYTES, column_names=names, skip_rows=1, encoding="latin-1"
             ),
             parse_options=csv.ParseOptions(delimiter=delimiter, newlines_in_values=False),
             convert_options=csv.ConvertOptions(
@@ -200,22 +203,28 @@ def _values(body: bytes, header: list[str], delimiter: str, sources: list[_Sourc
                 check_utf8=False,
             ),
         )
+        for block in blocks:
+            for source in sources:
+                if source.index in filled and not _added(filled[source.index], source, block, delimiter):
+                    del filled[source.index]
     except pa.ArrowInvalid as error:
         raise InvalidError(f"Not readable CSV: {str(error)[:200]}", code="phone_csv") from error
-    values: dict[int, Floats] = {}
-    for source in sources:
-        column = table.column(names[source.index])
-        if delimiter != ",":
-            column = _replace(column, ",", ".")
-        try:
-            values[source.index] = column_of(source.name, column.cast(pa.float64()))
-        except pa.ArrowInvalid as error:
-            if source.quantity == "count":  # "3 / 19": in use and in view, for people
-                continue
-            raise InvalidError(
-                f"Column {source.header!r}: {str(error)[:120]}", code="phone_csv", column=source.header
-            ) from error
-    return values
+    return {index: column.values for index, column in filled.items()}
+
+
+def _added(filled: Filled, source: _Source, block: Table, delimiter: str) -> bool:
+    """Add a block's values of a column; False where they are none, and need not be."""
+    texts = block.column(f"c{source.index}")
+    try:
+        numbers = (_replace(texts, ",", ".") if delimiter != "," else texts).cast(pa.float64())
+    except pa.ArrowInvalid as error:
+        if source.quantity == "count":  # "3 / 19": in use and in view, for people
+            return False
+        raise InvalidError(
+            f"Column {source.header!r}: {str(error)[:120]}", code="phone_csv", column=source.header
+        ) from error
+    filled.add(numbers)
+    return True
 
 
 def _convert(
@@ -224,7 +233,7 @@ def _convert(
     """Bring the columns of one quantity to SI, by the unit in the header or what the values tell."""
     if not group:
         return
-    columns = {source.name: values[source.index] for source in group}
+    columns = {source.name: values.pop(source.index) for source in group}
     told = group[0].unit
     if quantity == "speed" and told is None:
         taken |= columns  # once the positions are there
@@ -233,7 +242,9 @@ def _convert(
     factor = _UNITS.get(quantity, {}).get(unit, 1.0)
     if told is None and quantity in _UNITS:
         remarks.append(Remark(f"{quantity}_unit_detected", f"No unit in the header; the values look like {unit}"))
-    taken |= {name: factor * column for name, column in columns.items()}
+    for column in columns.values():
+        np.multiply(column, factor, out=column)  # in its place: a file may be large
+    taken |= columns
 
 
 _TYPICAL = {
@@ -271,11 +282,15 @@ def _guess_time(typical: float, steps: Floats) -> str:
 def _finished(taken: dict[str, Floats], sources: list[_Source], remarks: list[Remark]) -> Columns:
     """Rows with a time, whole vectors, reports taken once, the sign of the force."""
     timed = np.isfinite(taken["t"])
-    values = {name: column[timed] for name, column in taken.items()}
+    if not timed.any():
+        raise InvalidError("There is no row with a time", code="empty")
+    values = taken
     if not timed.all():
+        values = {name: column[timed] for name, column in taken.items()}
         remarks.append(Remark("rows_without_time", f"{int(np.count_nonzero(~timed))} rows without a time left out"))
-    order = np.argsort(values["t"], kind="stable")
-    values = {name: column[order] for name, column in values.items()}
+    if (np.diff(values["t"]) < 0.0).any():
+        order = np.argsort(values["t"], kind="stable")
+        values = {name: column[order] for name, column in values.items()}
     for triad in _TRIADS:
         if all(name in values for name in triad):
             whole = np.isfinite([values[name] for name in triad])

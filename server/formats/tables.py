@@ -11,6 +11,9 @@ from pyarrow import csv, ipc
 from server.errors import InvalidError
 from server.formats.columns import Columns, Floats, not_finite
 
+CSV_BLOCK_BYTES = 1 << 20
+"""So much of a text is parsed at a time."""
+
 # pyarrow ships no types.
 DataType = Any
 Array = Any
@@ -29,11 +32,38 @@ def column_of(name: str, column: ChunkedArray) -> Floats:
     """Values with NaN for null; a NaN or infinity that was sent is refused."""
     if not is_numeric(column.type):
         raise InvalidError(f"Column {name!r} holds {str(column.type)[:40]}, not numbers", code="columns", column=name)
-    numbers = column.cast(pa.uint8()) if pa.types.is_boolean(column.type) else column
-    chunks: list[Floats] = [np.zeros(0)]
-    for chunk in numbers.cast(pa.float64(), safe=False).chunks:
-        chunks.append(_told(name, chunk, sum(part.size for part in chunks)))
-    return chunks[1] if len(chunks) == 2 else np.concatenate(chunks)
+    if column.num_chunks == 1:
+        return _told(name, _floats(column.chunk(0)), 0)
+    filled = Filled(name, len(column))
+    for chunk in column.chunks:
+        filled.add(_floats(chunk))
+    return filled.values
+
+
+class Filled:
+    """A column that is filled piece by piece: no more is there twice than a piece."""
+
+    def __init__(self, name: str, most: int) -> None:
+        self._name = name
+        self._values = np.empty(most)
+        self._rows = 0
+
+    def add(self, array: Array) -> None:
+        """Append a float64 array's values."""
+        rows = self._rows + len(array)
+        self._values[self._rows : rows] = _told(self._name, array, self._rows)
+        self._rows = rows
+
+    @property
+    def values(self) -> Floats:
+        """All that was added."""
+        return self._values[: self._rows]
+
+
+def _floats(array: Array) -> Array:
+    """Numbers or flags as float64."""
+    numbers = array.cast(pa.uint8()) if pa.types.is_boolean(array.type) else array
+    return numbers.cast(pa.float64(), safe=False)
 
 
 def _told(name: str, chunk: Array, first: int) -> Floats:

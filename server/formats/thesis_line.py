@@ -7,11 +7,14 @@ of g.  The thesis' text gives the sampling periods in ms; they are s, the times 
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
 from server.errors import InvalidError
-from server.formats.columns import Columns, Floats, check_size, lines_of
+from server.formats.columns import Columns, Floats, check_size
+from server.formats.lines import check_lines, lines_of
 
 FIELDS = 11
 STANDARD_GRAVITY = 9.81
@@ -39,13 +42,14 @@ def read(body: bytes, *, max_decoded_bytes: int | None = None, course_clockwise:
     """Columns of such a file; a GPS report that is held over the following rows is taken once."""
     # Lists of Python floats stand for a while where the columns will be.
     check_size(4 * lines_of(body), FIELDS, max_decoded_bytes)
+    check_lines(body, "thesis_line")
     rows: list[list[float]] = []
     for number, raw in enumerate(body.splitlines(), start=1):
         line = raw.decode("ascii", "replace")
         if not line.strip():
             continue
         row = _numbers(line)
-        if row is None or not np.isfinite(row).all():
+        if row is None or not all(map(math.isfinite, row)):
             raise InvalidError(f"Line {number} is not {FIELDS} numbers", code="thesis_line", row=number)
         rows.append(row)
     if not rows:
@@ -83,9 +87,9 @@ def held(t: Floats, reports: Floats, period_s: float) -> NDArray[np.bool_]:
     changed = np.ones(t.size, dtype=np.bool_)
     before, after = reports[:-1], reports[1:]
     changed[1:] = ((before != after) & ~(np.isnan(before) & np.isnan(after))).any(axis=1)
-    for row in range(t.size):
-        if changed[row] or t[row] - taken_at >= period_s:
-            taken_at = t[row]
+    for row, (at, new) in enumerate(zip(t.tolist(), changed.tolist(), strict=True)):
+        if new or at - taken_at >= period_s:
+            taken_at = at
         else:
             repeats[row] = True
     return repeats

@@ -149,7 +149,9 @@ def run_consumer(
                 # Behind the others: no box's crash waits for the backlog of another.
                 broker.enqueue(message_for(device_id, queue, options=_said_of(message)))
 
-        job = Job(message.message_id, device_id, message.queue_name, known(message.options))
+        # Somebody had it and gave no answer: died at it, or with it waiting, or lost the broker.
+        again = bool(getattr(message, "redelivered", False))
+        job = Job(message.message_id, device_id, message.queue_name, known(message.options), again=again)
         run_job(database, job, rounds, clock=clock)
 
     # The lower number goes first among the messages that this worker has fetched.

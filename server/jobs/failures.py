@@ -13,9 +13,8 @@ from dataclasses import dataclass
 from sqlalchemy import delete, func, select
 from sqlalchemy.orm import Session
 
-from server.database import Database
 from server.logs import redact
-from server.models import Batch, Device, JobFailure
+from server.models import Batch, Device, JobAttempt, JobFailure
 from server.tracing import Carried
 
 BACKOFF_S = (1.0, 300.0)
@@ -32,6 +31,11 @@ def pause_s(failures: int) -> float:
     return min(BACKOFF_S[0] * 2.0 ** (failures - 1), BACKOFF_S[1])
 
 
+def left_alone_until(row: JobFailure) -> dt.datetime:
+    """When a failing box is tried again."""
+    return row.last_at + dt.timedelta(seconds=DEAD_AGAIN_S if row.dead_at is not None else pause_s(row.failures))
+
+
 @dataclass(frozen=True, slots=True)
 class Job:
     """One attempt at one box."""
@@ -40,10 +44,37 @@ class Job:
     device_id: str
     queue: str
     words: Carried
+    again: bool = False
+    """Whether somebody may have died at it: an attempt is then written down (server.jobs.attempts)."""
+    alone: bool = False
+    """Whether no other worker can be at the box: an attempt that nobody answered for is then a dead one's."""
+
+
+class WorkerDiedError(Exception):
+    """What killed a worker cannot be caught; this stands for it where failures are listed."""
 
 
 def note_failure(session: Session, job: Job, error: BaseException, *, now: dt.datetime) -> JobFailure | None:
     """Count a failure; None when the box is gone."""
+    row = _counted(session, job, error, now=now)
+    if row is not None:
+        # It failed, and said so: nobody died at it.
+        session.execute(delete(JobAttempt).where(JobAttempt.device_id == job.device_id))
+        if row.failures >= MAX_FAILURES and row.dead_at is None:
+            row.dead_at = now
+    return row
+
+
+def count_death(session: Session, job: Job, deaths: int, *, now: dt.datetime) -> None:
+    """Make a box a dead letter at which so many workers in a row died: each try costs all other boxes a worker."""
+    error = WorkerDiedError(f"the worker died during the job, {deaths} times in a row")
+    row = _counted(session, job, error, now=now)
+    if row is not None and row.dead_at is None:
+        row.failures += deaths - 1
+        row.dead_at = now
+
+
+def _counted(session: Session, job: Job, error: BaseException, *, now: dt.datetime) -> JobFailure | None:
     # Two workers that fail at one box at once take turns here.
     if session.get(Device, job.device_id, with_for_update={"key_share": True}) is None:
         return None
@@ -55,34 +86,21 @@ def note_failure(session: Session, job: Job, error: BaseException, *, now: dt.da
     row.last_at, row.queue, row.job_id = now, job.queue, job.id
     row.request_id = job.words.get("request_id")
     row.error = redact(f"{type(error).__name__}: {error}")[:500]
-    if row.failures >= MAX_FAILURES and row.dead_at is None:
-        row.dead_at = now
     return row
-
-
-def note_success(database: Database, device_id: str) -> None:
-    """Forget the failures of a box; asks first, for hardly any box has some."""
-    with database.reading() as session:
-        failed = session.get(JobFailure, device_id) is not None
-    if failed:
-        with database.transaction() as session:
-            forget(session, [device_id])
 
 
 def forget(session: Session, device_ids: Iterable[str]) -> list[str]:
     """Let boxes be tried at once; which of them were failing."""
-    rows = delete(JobFailure).where(JobFailure.device_id.in_(list(device_ids))).returning(JobFailure.device_id)
+    device_ids = list(device_ids)
+    session.execute(delete(JobAttempt).where(JobAttempt.device_id.in_(device_ids)))
+    rows = delete(JobFailure).where(JobFailure.device_id.in_(device_ids)).returning(JobFailure.device_id)
     return list(session.scalars(rows))
 
 
 def left_alone(session: Session, now: dt.datetime) -> dict[str, bool]:
     """Boxes that are not tried now, and whether each is a dead letter."""
     rows = session.scalars(select(JobFailure).where(JobFailure.last_at > now - dt.timedelta(seconds=DEAD_AGAIN_S)))
-    return {
-        row.device_id: row.dead_at is not None
-        for row in rows
-        if now < row.last_at + dt.timedelta(seconds=pause_s(row.failures))
-    }
+    return {row.device_id: row.dead_at is not None for row in rows if now < left_alone_until(row)}
 
 
 def dead(session: Session) -> set[str]:

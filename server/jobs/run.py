@@ -10,7 +10,8 @@ import structlog
 from prometheus_client import CollectorRegistry, Counter, Histogram
 
 from server.database import Database
-from server.jobs.failures import Job, note_failure, note_success, pause_s
+from server.jobs.attempts import answered, begin, withdraw
+from server.jobs.failures import Job, note_failure, pause_s
 from server.tracing import failed, job_span
 
 log = structlog.stdlib.get_logger("scatola.jobs")
@@ -46,27 +47,46 @@ class Tally:
 
 
 def run_job(database: Database, job: Job, work: Callable[[Tally], None], *, clock: Callable[[], dt.datetime]) -> None:
-    """Do the work and write down how it went; what it raises is raised on."""
+    """Do the work and write down how it went; what it raises is raised on.  Boxes that kill workers are left alone."""
+    leave = begin(database, job, clock())
+    if not leave.granted:
+        JOBS.labels(_label(job), "left alone").inc()
+        return
     tally, began, outcome = Tally(), time.perf_counter(), "failed"
     with job_span("bring up to date", job.words, job_id=job.id, device_id=job.device_id, queue=job.queue) as span:
         try:
             work(tally)
             outcome = "done"
             span.set_attribute("scatola.batches", tally.batches)
-            note_success(database, job.device_id)
+            answered(database, job.device_id)
         except Exception as error:
             failed(span, type(error).__name__)
             _fail(database, job, error, clock())
             raise
+        except BaseException:
+            if leave.written:
+                _withdraw(database, job)
+            raise
         finally:
             seconds = time.perf_counter() - began
-            queue = "bursts" if job.queue.endswith("bursts") else "devices"
+            queue = _label(job)
             JOBS.labels(queue, outcome).inc()
             SECONDS.labels(queue).observe(seconds)
             if outcome == "done":
                 # A look that found nothing to do is nobody's news.
                 say = log.info if tally.batches else log.debug
                 say("job", queue=queue, batches=tally.batches, unreadable=tally.failed, ms=round(seconds * 1e3, 1))
+
+
+def _label(job: Job) -> str:
+    return "bursts" if job.queue.endswith("bursts") else "devices"
+
+
+def _withdraw(database: Database, job: Job) -> None:
+    try:
+        withdraw(database, job.device_id)
+    except Exception:
+        log.exception("attempt cannot be withdrawn", device_id=job.device_id)
 
 
 def _fail(database: Database, job: Job, error: Exception, now: dt.datetime) -> None:

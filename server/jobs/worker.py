@@ -30,6 +30,8 @@ from server.tracing import Carried, known
 LOOK_S = 0.25
 """So often the embedded worker looks by itself."""
 DEVICES = 32
+RUNNING = "worker.running"
+"""A file that is there while the embedded worker runs, and after one that did not end in order."""
 NICENESS = 5
 COLLECT_EVERY_S = 3600.0
 SEAL_EVERY_S = 20.0
@@ -87,7 +89,7 @@ def run_worker(
     sealer = start_sealing(database, settings, stop=stop, clock=clock)
     tellers = start_telling(database, settings, stop=stop, clock=clock)
     analyst = start_analyses(settings, database, stop=stop, clock=clock)
-    rounds = Rounds(database, store, clock)
+    rounds = Rounds(database, store, clock, wary=_left_in_disorder(settings))
     reruns = Reruns(database, store, clock)
     try:
         while not stop.is_set():
@@ -105,12 +107,29 @@ def run_worker(
         if sealer is not None:
             sealer.join()
         database.dispose()
+        (settings.data_dir / RUNNING).unlink(missing_ok=True)
+
+
+def _left_in_disorder(settings: Settings) -> bool:
+    """Whether the worker before this one died; from now on, this one is the one that runs."""
+    running = settings.data_dir / RUNNING
+    try:
+        settings.data_dir.mkdir(parents=True, exist_ok=True)
+        died = running.exists()
+        running.touch()
+    except OSError:
+        log.exception("cannot note that a worker runs: each start is taken for one after a death")
+        return True
+    return died
 
 
 class Rounds:
-    """Goes round the due devices; one that fails waits, and the others do not."""
+    """Goes round the due devices; one that fails waits, and the others do not.
 
-    def __init__(self, database: Database, store: BlobStore, clock: Clock) -> None:
+    `wary`: the worker before died; one of the devices that are due now may be why.
+    """
+
+    def __init__(self, database: Database, store: BlobStore, clock: Clock, *, wary: bool = False) -> None:
         # Imported here: the numerics and their compiled kernels, once, before the first box waits for them.
         from server.jobs.work import bring_up_to_date
 
@@ -119,6 +138,7 @@ class Rounds:
         self._store = store
         self._clock = clock
         self._after = ""
+        self._wary = wary
         self._left_alone: dict[str, bool] = {}
         self.told: dict[str, Carried] = {}
         """What the pipe told of the requests behind what is due."""
@@ -136,6 +156,8 @@ class Rounds:
                 if stop.is_set():
                     return True
                 self._work(urgent)
+        if not self._after:  # round: all that was due has had its turn
+            self._wary = False
         return bool(devices)
 
     def _bursts(self) -> list[str]:
@@ -158,7 +180,8 @@ class Rounds:
         return [device_id for device_id in devices if device_id not in self._left_alone]
 
     def _work(self, device_id: str) -> None:
-        job = Job(uuid.uuid4().hex, device_id, "devices", self.told.pop(device_id, {}))
+        words = self.told.pop(device_id, {})
+        job = Job(uuid.uuid4().hex, device_id, "devices", words, again=self._wary, alone=True)
 
         def work(tally: Tally) -> None:
             done = self._bring_up_to_date(self._database, self._store, device_id, clock=self._clock)

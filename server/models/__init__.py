@@ -19,7 +19,7 @@ from server.models.change import Change
 from server.models.device import Boot, ClaimCode, Device, DeviceRequest, DeviceState, Diagnosis
 from server.models.event import ChainSeal, Event, EventAction, EventInput, EventRevision
 from server.models.installation import Installation, MountingRevision
-from server.models.job import JobFailure, Rerun, RerunItem
+from server.models.job import JobAttempt, JobFailure, Rerun, RerunItem
 from server.models.organisation import Organisation
 from server.models.privacy import Erasure, RetentionRule
 from server.models.trip import TrackPoint, Trip
@@ -54,6 +54,7 @@ __all__ = [
     "EventRevision",
     "GeofencePresence",
     "Installation",
+    "JobAttempt",
     "JobFailure",
     "MountingRevision",
     "Organisation",

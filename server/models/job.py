@@ -29,6 +29,17 @@ class JobFailure(Base):
     request_id: Mapped[str | None] = mapped_column(String(64))
 
 
+class JobAttempt(Base):
+    """A box that a worker may have died at: attempts in a row that nobody answered for, the present one among them."""
+
+    __tablename__ = "job_attempt"
+
+    device_id: Mapped[str] = mapped_column(ForeignKey("device.id", ondelete="CASCADE"), primary_key=True)
+    unanswered: Mapped[int]
+    job_id: Mapped[str] = mapped_column(String(64))
+    began_at: Mapped[dt.datetime]
+
+
 class Rerun(Base):
     """Events of an organisation computed again by another version."""
 

@@ -1,4 +1,4 @@
-"""A small valid body for every media type: what the fuzzer begins from."""
+"""A small valid body for every reader: what the fuzzer begins from."""
 
 from __future__ import annotations
 
@@ -14,9 +14,14 @@ from server.formats.columns import Columns
 from server.formats.compact_write import write as write_compact
 from server.formats.decode import MEDIA_TYPES
 from server.formats.tables import write_arrow, write_csv
+from tests.faults.large import PHONE
 
 _NMEA = b"$GPRMC,120000.00,A,4524.6,N,01156.4,E,19.4,84.4,280226,,,A\r\n$GPVTG,90,T,,M,1,N,2,K\n"
 _THESIS = b"1 10 11.9 45.4 12 36 270 1 1 2 100\n2 20 11.9 45.4 12 36 270 1 1 2 100\n"
+_PHONE = (
+    b"Time (s);Acceleration x (g);Acceleration y (g);Acceleration z (g);Latitude;Longitude;Speed;Satellites\n"
+    + b"".join(b"%d,5;0,01;0,02;%s;45,%03d;11,5;3,6;3 / 19\n" % (n, b"-1" if n % 3 else b"", n) for n in range(40))
+)
 
 
 def _columns() -> Columns:
@@ -48,7 +53,7 @@ def _mcap() -> bytes:
 
 
 def seeds() -> dict[str, bytes]:
-    """A body for each media type that is read."""
+    """A body for each media type that is read, and for the reader of loggers' CSV."""
     columns = _columns()
     named = {name: [None if np.isnan(v) else v for v in values] for name, values in columns.values.items()}
     found = {
@@ -63,4 +68,5 @@ def seeds() -> dict[str, bytes]:
         "application/mcap": _mcap(),
     }
     assert set(found) == set(MEDIA_TYPES), "a new media type needs a seed"
+    found[PHONE] = _PHONE
     return found
