@@ -229,8 +229,16 @@ BIASED = 0.06
 ROUGH = 0.05
 """What a gyro may leave of the course in a step beside the receiver's noise, rad, 1 sigma."""
 
+BENT = 0.03
+FAR = 0.4
+"""Where the squares of the bends add up to less than the first, rad², a scale is wrong when it is off by the second."""
+
 ALIKE = 0.8
-"""Squared correlation with the course under which a gyro turns of its own accord."""
+"""Squared correlation with the course under which a gyro has no scale, and turns of its own accord if it turns."""
+
+AS_GOOD = 0.1
+"""Lags whose squared correlation falls short of the best by less are as good: the beginning of a bend fits many, each
+with its scale.  Of those the one nearest 1 counts."""
 
 UNITS = {"degrees a second": 180.0 / np.pi, "thousandths of a degree a second": 180e3 / np.pi}
 UNIT_SHARE = 0.25
@@ -268,21 +276,22 @@ def gyro_of(hearing: Hearing) -> str | Reason:
     lag = int(np.argmax(correlation))
     alike = float(correlation[lag])
     rough = spin.number * ROUGH**2 + 4.0 * spin.noise
-    if real[lag] > OUTDONE * spin.noise:
-        scale, left = float(both[lag] / real[lag]), float(own[lag] * (1.0 - alike))
-        if alike < ALIKE and left > rough:
+    if real[lag] <= OUTDONE * spin.noise:  # too few bends for a scale: held against the course as it is
+        if float((own - 2.0 * both + bends).min()) > rough:
             return reason("gyro_noisy")
-        if left / spin.number < (SCALE_KNOWN * max(abs(scale), 1.0)) ** 2 * real[lag]:
-            return _of_scale(scale, usual=usual)
-    # Too few bends for a scale: it is held against the course as it is.
-    if float((own - 2.0 * both + bends).min()) > rough:
-        return reason("gyro_noisy")
-    return TRUSTED if usual and spin.number > QUIET_FOR else UNPROVED
+        return TRUSTED if usual and spin.number > QUIET_FOR else UNPROVED
+    left = float(own[lag] * (1.0 - alike))
+    if alike < ALIKE:
+        return reason("gyro_noisy") if left > rough else UNPROVED
+    scales = (both / real)[correlation > alike - AS_GOOD]
+    scale = float(scales[np.argmin(np.abs(scales - 1.0))])
+    known = left / spin.number < (SCALE_KNOWN * max(abs(scale), 1.0)) ** 2 * real[lag]
+    return _of_scale(scale, FALSE_SCALE if real[lag] > BENT else FAR, usual=usual) if known else UNPROVED
 
 
-def _of_scale(scale: float, *, usual: bool) -> str | Reason:
-    """What is to be thought of a gyro that turns `scale` times as much as the course."""
-    if abs(scale - 1.0) < FALSE_SCALE:
+def _of_scale(scale: float, false: float, *, usual: bool) -> str | Reason:
+    """What is to be thought of a gyro that turns `scale` times as much as the course; `false` is too far from 1."""
+    if abs(scale - 1.0) < false:
         return TRUSTED if usual and abs(scale - 1.0) < SCALE else UNPROVED
     for name, many in UNITS.items():
         if abs(abs(scale) / many - 1.0) < UNIT_SHARE:
