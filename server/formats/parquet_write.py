@@ -26,6 +26,7 @@ from server.formats.thrift import Long, Writable, packed, varint
 _MAGIC = b"PAR1"
 _GROUP_ROWS = 2**20
 _LEVEL = 3
+_MOST_DIFFERENT = 2**16
 # Clocks tick evenly, so their bytes repeat when sorted by place; measured values repeat as a whole.
 _CLOCKS = ("t", "utc")
 
@@ -137,14 +138,24 @@ def _unpacked_run(content: NDArray[Any], bits: int) -> bytes:
     return varint(eights << 1 | 1) + data.ljust(eights * bits, b"\0")
 
 
+def _encoded(values: Floats) -> Any:
+    """Arrow's dictionary encoding of the bits of values.
+
+    From buffers and to them: Arrow's own ways from and to numpy load pandas where it is installed.
+    """
+    array: Any = pa.Array.from_buffers(pa.int64(), values.size, [None, pa.py_buffer(values)])
+    return pc.dictionary_encode(array)  # pyright: ignore[reportAttributeAccessIssue]  made at import
+
+
 def _numbered(values: Floats) -> tuple[NDArray[np.int64], bytes] | None:
     """Different values and each one's number, where that is shorter; equal is what has equal bits."""
-    # From buffers and to them: Arrow's own ways from and to numpy load pandas where it is installed.
-    array: Any = pa.Array.from_buffers(pa.int64(), values.size, [None, pa.py_buffer(values)])
-    encoded: Any = pc.dictionary_encode(array)  # pyright: ignore[reportAttributeAccessIssue]  made at import
+    # Where the beginning has too many already, all of them are not asked for: that would take tens of megabytes.
+    if values.size > 2 * _MOST_DIFFERENT and len(_encoded(values[: 2 * _MOST_DIFFERENT]).dictionary) > _MOST_DIFFERENT:
+        return None
+    encoded = _encoded(values)
     dictionary = np.frombuffer(encoded.dictionary.buffers()[1], np.int64, len(encoded.dictionary))
     bits = 8 if dictionary.size <= 2**8 else 16
-    if dictionary.size > 2**16 or 8 * dictionary.size + bits // 8 * values.size > 6 * values.size:
+    if dictionary.size > _MOST_DIFFERENT or 8 * dictionary.size + bits // 8 * values.size > 6 * values.size:
         return None
     numbers = np.frombuffer(encoded.indices.buffers()[1], np.int32, values.size)
     return dictionary, bytes([bits]) + _unpacked_run(numbers.astype(np.uint8 if bits == 8 else "<u2"), bits)

@@ -49,6 +49,7 @@ from server.models import (
     EventAction,
     GeofencePresence,
     Installation,
+    JobAttempt,
     JobFailure,
     MountingRevision,
     Organisation,
@@ -251,6 +252,7 @@ def fill(session: Session, store: BlobStore, name: str) -> dict[str, str]:
                 algorithm="x",
                 input_sha256="",
             ),
+            JobAttempt(device_id=ids["device"], unanswered=1, job_id="j", began_at=AT),
             JobFailure(
                 device_id=ids["device"],
                 failures=9,
