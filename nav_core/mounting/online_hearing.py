@@ -73,7 +73,21 @@ class Products(NamedTuple):
     number: float
 
     def more(self, Y: Floats, y: Floats, noise: Floats, kept: float = KEPT) -> Products:
-        """With another piece: what explains, shape (12, n, k), what is explained and its noise, shape (n,)."""
+        """With another piece.
+
+        Parameters
+        ----------
+        Y : ndarray, shape (12, n, k)
+            What explains, by lag.
+        y, noise : ndarray, shape (n,)
+            What is explained, and the receiver's noise in it, 1 sigma.
+        kept : float
+            Share of the sums so far that stays.
+
+        Returns
+        -------
+        Products
+        """
         return Products(
             kept * self.among + np.einsum("lni,lnj->lij", Y, Y),
             kept * self.between + np.einsum("lni,n->li", Y, y),
