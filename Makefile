@@ -20,7 +20,7 @@ test: setup  ## All tests; what needs a browser, PostgreSQL or RabbitMQ is skipp
 	@scripts/browser.sh
 	$(BIN)/python -m pytest -n $(PYTEST_WORKERS) --dist loadfile
 
-test-faults: setup  ## Try to break it: decoders fuzzed for ten minutes each, 200 random kills in each mode, the whole API (hours)
+test-faults: setup  ## Try to break it: decoders fuzzed for twice ten minutes each, 200 random kills in each mode, the whole API (hours)
 	SCATOLA_FUZZ_SECONDS=$${SCATOLA_FUZZ_SECONDS:-600} SCATOLA_KILLS=$${SCATOLA_KILLS:-200} \
 	  SCATOLA_OPENAPI_EXAMPLES=$${SCATOLA_OPENAPI_EXAMPLES:-100} $(BIN)/python -m pytest tests/faults -n $(PYTEST_WORKERS) -s
 

@@ -244,7 +244,7 @@ def _bytes(batch: _Batch, buffer: tuple[int, int]) -> bytes | memoryview:
         unpacked = unpack(bytes(data[8:]), "zstd", max_bytes=size)
     else:
         try:
-            unpacked = pa.Codec("lz4").decompress(bytes(data[8:]), decompressed_size=size, asbytes=True)
+            unpacked = pa.Codec("lz4").decompress(pa.py_buffer(data[8:]), decompressed_size=size, asbytes=True)
         except (pa.ArrowException, OSError, ValueError) as error:
             raise _bad(str(error)[:100]) from None
     if len(unpacked) != size:
@@ -265,7 +265,9 @@ def _fill(out: Floats, field: _Field, batch: _Batch, buffers: list[tuple[int, in
         if len(data) < rows * field.dtype.itemsize:
             raise _bad(f"column {field.name!r} has fewer values than rows")
         out[:] = np.frombuffer(data, field.dtype, rows)
-    bad = ~np.isfinite(out)
+    del data  # as large as the column
+    bad = np.isfinite(out)
+    np.logical_not(bad, out=bad)
     if validity:
         valid = _bits(validity, rows)
         out[~valid] = np.nan

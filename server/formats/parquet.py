@@ -29,11 +29,17 @@ def read(body: bytes, *, max_decoded_bytes: int | None) -> Columns:
     try:
         file = pq.ParquetFile(pa.BufferReader(body))
         # One after the other: what is large is there twice for a column only.
-        return Columns(
-            {name: column_of(name, file.read(columns=[name], use_threads=False).column(0)) for name in names}
-        )
+        return Columns({name: _column(file, name) for name in names})
     except (pa.ArrowException, OSError, ValueError) as error:
         raise _bad(error) from error
+
+
+def _column(file: pq.ParquetFile, name: str) -> Floats:
+    table = file.read(columns=[name], use_threads=False)
+    # The library may understand the names in the file's schema otherwise than we did.
+    if table.column_names != [name]:
+        raise ValueError(f"column {name!r} cannot be found by its name")
+    return column_of(name, table.column(0))
 
 
 def read_stored(body: bytes) -> Columns:
