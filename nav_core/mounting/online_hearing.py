@@ -49,6 +49,9 @@ OUTDONE = 4.0
 """Bends tell when the sum of their squares exceeds the first, rad², and so many times what is the receiver's noise;
 so do changes of speed in (m/s²)²."""
 
+SHARPEST = 1.2
+"""No car turns further in a step, rad: a course later than the speed is still that of the stand, which is random."""
+
 COURSE_NOISE = 0.06
 """Of the receiver across the travel, as far as it differs from one second to the next, m/s."""
 
@@ -193,7 +196,9 @@ def listened(hearing: Hearing, record: Record, spin: Record | None, begin: float
 
 def _followed(hearing: Hearing, record: Record, spin: Record | None, fixes: Fixes, turning: Flags) -> Hearing:
     """The same with what the course tells in the steps that are `turning`."""
-    turn, step = wrap(np.diff(fixes.course))[turning], np.diff(fixes.t)
+    turn, step = wrap(np.diff(fixes.course)), np.diff(fixes.t)
+    turning = turning & (np.abs(turn) < SHARPEST)
+    turn = turn[turning]
     noise = np.sqrt(2.0) * COURSE_NOISE / (0.5 * (fixes.speed[1:] + fixes.speed[:-1]))[turning]
     inverse = 1.0 / np.maximum(np.interp(record.t, record.fixes.t, record.fixes.speed), FOLLOW_SPEED)
     across = _gains(record, fixes.t, np.column_stack([record.f * inverse[:, None], inverse]))

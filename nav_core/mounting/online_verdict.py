@@ -7,7 +7,7 @@ import numpy as np
 from nav_core.mounting.confidence import CONVERGED, STEADY, STEADY_SPAN, observability
 from nav_core.mounting.model import GRAVITY
 from nav_core.mounting.moved import LEAST_ANGLE
-from nav_core.mounting.online import LEAST_TICKS, LISTEN, MISMATCH, OnlineState, advance, begin
+from nav_core.mounting.online import LAG_STEP, LEAST_TICKS, LISTEN, LONGEST_LAG, MISMATCH, OnlineState, advance, begin
 from nav_core.mounting.online_hearing import lag_of
 from nav_core.mounting.online_hypotheses import handed, settled
 from nav_core.mounting.online_model import BIAS, SPEED_LAG, Filters
@@ -81,7 +81,7 @@ def assess(state: OnlineState) -> MountingEstimate:
     if signs is not None:
         ready = ready and signs.code == "handedness_trusted"
         reasons = (*reasons, signs)
-    if not ready and strange > ROUGH:
+    if not ready and strange > ROUGH and "rough" not in {each.code for each in reasons}:
         reasons = (*reasons, reason("rough"))
     known = np.sqrt(np.diag(filters.P[filters.best])[SPEED_LAG : SPEED_LAG + 2]) < LAG_KNOWN
     lags = state.lags[0] if known[0] else None, state.lags[1] if known[1] else None
@@ -144,6 +144,8 @@ def _doubts(state: OnlineState) -> tuple[Reason, ...]:
     """Why an estimate that is sure of itself is not to be believed."""
     if state.watch.suspicious or restlessness(state.tally).max() > RESTLESS:
         return (reason("contradiction"),)
+    if max(state.lags) > LONGEST_LAG - LAG_STEP:
+        return (reason("rough"),)  # a lag at its limit is none: speed and course are something else's
     return (reason("startled"),) if state.watch.startled else ()
 
 
@@ -163,7 +165,9 @@ def _is_stable(state: OnlineState) -> bool:
     before = trail[trail[:, 0] <= trail[-1, 0] - STEADY_SPAN]
     if not before.size:
         return False
-    return angle_between(before[-1, 1:10].reshape(3, 3), trail[-1, 1:10].reshape(3, 3)) < STEADY
+    was, now = before[-1, 1:10].reshape(3, 3), trail[-1, 1:10].reshape(3, 3)
+    # No rotation leads from a mirrored mounting to one that is not.
+    return bool(np.linalg.det(was @ now.T) > 0.0) and angle_between(was, now) < STEADY
 
 
 def _without(progress: float, reasons: tuple[Reason, ...], state: OnlineState) -> MountingEstimate:

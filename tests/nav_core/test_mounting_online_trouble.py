@@ -187,6 +187,25 @@ def test_a_late_receiver_on_roads_with_few_bends(route: str, duration: float, sp
         never_ready_and_wrong(found, truth)
 
 
+def test_a_course_that_is_still_that_of_the_stand_is_no_lag_and_never_ready_and_wrong():
+    """Setting out, the speed is there before the course, which is random at rest and passes for turns."""
+    for seed in (50_104, 50_503, 50_507):
+        drive, truth = driven("straight", 300.0, seed, gnss_rate=4.0, speed_lag=0.3, course_lag=1.5)
+        found = watched(drive, 20.0)
+        assert all(error_deg(each, truth) < 6.0 for each in found if each.status == "ready")
+
+
+def test_a_hand_that_changes_is_not_stable_and_no_error():
+    drive, _ = driven("urban", 120.0, 50_221)
+    state = begin()
+    for chunk in chunks_of(drive, 20.0):
+        state = advance(state, chunk)
+    trail = state.tally.trail.copy()
+    trail[:-1, 1:10] *= -1.0
+    assert assess(state).stable
+    assert not assess(replace(state, tally=replace(state.tally, trail=trail))).stable
+
+
 def test_a_late_receiver_does_not_hide_an_inverted_box():
     for seed in (9, 50_221, 50_222):
         drive, _ = driven("urban", 240.0, seed, speed_lag=1.8, course_lag=1.5)
