@@ -12,6 +12,7 @@ import datetime as dt
 from dataclasses import dataclass
 
 import structlog
+from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from server.database import Database
@@ -36,12 +37,22 @@ class Leave:
 
 def begin(database: Database, job: Job, now: dt.datetime) -> Leave:
     """Ask to begin; hardly any box has something written down, and then this is one look."""
-    with database.reading() as session:
-        attempt, failure = session.get(JobAttempt, job.device_id), session.get(JobFailure, job.device_id)
-    if attempt is None and failure is None and not job.again:
+    if not job.again and not _is_noted(database, job.device_id):
         return Leave(True, False)
     with database.transaction() as session:
         return _begin(session, job, now)
+
+
+def _is_noted(database: Database, device_id: str) -> bool:
+    """Whether a box fails, or an attempt at it is written down."""
+    failure = select(JobFailure.device_id).where(JobFailure.device_id == device_id)
+    with database.glance() as connection:
+        return (
+            connection.execute(
+                failure.union_all(select(JobAttempt.device_id).where(JobAttempt.device_id == device_id))
+            ).first()
+            is not None
+        )
 
 
 def _begin(session: Session, job: Job, now: dt.datetime) -> Leave:
@@ -72,9 +83,7 @@ def _begin(session: Session, job: Job, now: dt.datetime) -> Leave:
 
 def answered(database: Database, device_id: str) -> None:
     """A job is done: forget the failures and attempts of its box; asks first."""
-    with database.reading() as session:
-        found = session.get(JobFailure, device_id) is not None or session.get(JobAttempt, device_id) is not None
-    if found:
+    if _is_noted(database, device_id):
         with database.transaction() as session:
             forget(session, [device_id])
 
