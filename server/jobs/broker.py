@@ -183,9 +183,9 @@ def run_consumer(
 
 
 def _said_of(message: dramatiq.Message[Any]) -> dict[str, object]:
-    """What a message says to those that follow from it, its count of retries left out."""
-    kept = ("max_retries",) if "max_retries" in message.options else ()
-    return {**known(message.options), **{name: message.options[name] for name in kept}}
+    """What a message says to the one that follows from it: all but its own count of retries."""
+    options = message.options
+    return {**known(options), **{name: options[name] for name in ("max_retries",) if name in options}}
 
 
 class Sweep:
