@@ -22,6 +22,9 @@ from nav_core.mounting.refine import BLOCK, Fit, likely_bias
 from nav_core.rotation import error_between
 from nav_core.typing import Floats
 
+OTHER_BANK = 2.0 * np.arctan(0.02)
+"""Most by which the mean bank of the roads of two trips differs, rad: both fall by two percent, to either side."""
+
 
 @dataclass(frozen=True, slots=True)
 class TripEvidence:
@@ -58,7 +61,7 @@ class TripEvidence:
 
 
 def trip_evidence(fit: Fit, handed: float = 0.0, found: Confidence | None = None) -> TripEvidence:
-    """What a fit of one trip has to say to others.
+    """What a fit of one trip, or of several, has to say to others.
 
     Parameters
     ----------
@@ -75,9 +78,11 @@ def trip_evidence(fit: Fit, handed: float = 0.0, found: Confidence | None = None
     found = found or assess(fit)
     scale = np.ones(1 + UNKNOWNS)
     scale[1:4] = 1.0 / found.widening
-    gram = fit.gram.sum(0) * np.outer(scale, scale)
-    duration = BLOCK * len(fit.gram)
-    return TripEvidence(fit.R_va, fit.speed_lag, fit.course_lag, without_own(gram), duration, handed=handed)
+    trips = fit.trips()
+    gram = np.sum([without_own(fit.gram[trip].sum(0) * np.outer(scale, scale)) for trip in trips], axis=0)
+    return TripEvidence(
+        fit.R_va, fit.speed_lag, fit.course_lag, gram, BLOCK * len(fit.gram), trips=len(trips), handed=handed
+    )
 
 
 def weakened(evidence: TripEvidence, share: float) -> TripEvidence:
@@ -152,25 +157,39 @@ def solved(evidence: TripEvidence, noise: Noise) -> tuple[Floats, Floats]:
     return R_va, covariance[TURN, TURN] + FLOOR**2 * np.eye(3)
 
 
-def disagreement(one: TripEvidence, other: TripEvidence, noise: Noise) -> tuple[float, Floats]:
+def disagreement(
+    one: TripEvidence, other: TripEvidence, noise: Noise, *, axes: slice = slice(0, 3), bank: float = OTHER_BANK
+) -> tuple[float, Floats]:
     """How far two sets of trips are apart.
 
     Parameters
     ----------
     one, other : TripEvidence
     noise : Noise
+    axes : slice
+        Those that count: all, or tilt alone.
+    bank : float
+        Most by which the mean bank of the roads may differ, rad.
 
     Returns
     -------
     chi2 : float
-        Squared difference over its covariance, three degrees of freedom.
+        Squared difference over its covariance, a degree of freedom for each of the axes.
     apart : ndarray, shape (3,)
         The small rotation from `one` to `other` about the V axes, rad.
+
+    Notes
+    -----
+    Other roads are banked otherwise, within limits and by no bell curve: chi2 is the least that any such difference
+    leaves.
     """
     R_one, C_one = solved(one, noise)
     R_other, C_other = solved(other, noise)
     e = error_between(R_other, R_one)
-    return float(e @ np.linalg.solve(C_one + C_other, e)), e
+    information = np.linalg.inv((C_one + C_other)[axes, axes])
+    left = e[axes]
+    left = left - np.eye(left.size)[0] * np.clip(information[0] @ left / information[0, 0], -bank, bank)
+    return float(left @ information @ left), e
 
 
 def _seen_from(trip: TripEvidence, last: TripEvidence) -> Floats:

@@ -15,13 +15,12 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from nav_core.mounting.confidence import FLOOR, assess
+from nav_core.mounting.fusion import OTHER_BANK, disagreement, trip_evidence
 from nav_core.mounting.model import MILLI_G, TURN, Noise
 from nav_core.mounting.quality import excitation, fits_a_car
 from nav_core.mounting.refine import BLOCK, HUBER, Fit, view_of, weigh
 from nav_core.mounting.solution import Solution, between, matched, solve
 from nav_core.mounting.stretch import PAUSE, Record
-from nav_core.rotation import error_between
 from nav_core.typing import Floats
 
 LEAST_SIDE = 25.0
@@ -219,24 +218,26 @@ def _between_trips(record: Record, noise: Noise) -> tuple[Record, Record] | None
     trips = [trip for trip in trips if excitation(trip).moving > LEAST_MOVING and trip.t.size >= LEAST_TICKS]
     solutions = [solve(trip, noise) for trip in trips]
     for number, (one, other) in enumerate(pairwise(trips)):
-        if _differ((one, other), solutions[number], solutions[number + 1]):
+        if _difference((one, other), solutions[number], solutions[number + 1], noise) > 0.0:
             when = float(other.fixes.t[0])
             return between(record, t[0], np.nextafter(when, t[0])), between(record, when, t[-1])
     return None
 
 
 def _confirmed(record: Record, when: float, noise: Noise) -> tuple[Record, Record] | None:
-    """Both sides of a suspected move, with the moment sharpened; None when they agree."""
+    """Both sides of a suspected move, cut where they differ most as the moment is sharpened; None when they agree."""
     noise = replace(noise, bias=max(noise.bias, STRANGER), drift=max(noise.drift, RESTLESS))
     confirmed: tuple[Record, Record] | None = None
+    most = 0.0
     for _ in range(2):
         sides = _sides(record, when)
         if sides is None:
             break
         before, after = (solve(side, noise) for side in sides)
-        if not _differ(sides, before, after):
+        difference = _difference(sides, before, after, noise)
+        if difference <= most:
             break
-        confirmed = sides
+        confirmed, most = sides, difference
         sharper = _moment(record, when, before.fit, after.fit, noise)
         if abs(sharper - when) < BLOCK:
             break
@@ -252,28 +253,31 @@ def _sides(record: Record, when: float) -> tuple[Record, Record] | None:
     return sides if all(side.fixes.t.size >= 5 and side.t.size >= LEAST_TICKS for side in sides) else None
 
 
-def _differ(sides: tuple[Record, Record], before: Solution, after: Solution) -> bool:
-    """Whether the mountings of two sides differ by more than their doubt.
+def _difference(sides: tuple[Record, Record], before: Solution, after: Solution, noise: Noise) -> float:
+    """Squared difference of the mountings of two sides over its covariance; 0 where it is within their doubt.
 
     Half a minute without much traffic can hold a heading that is wrong and sure of itself; where the
     closed form does not see a car, tilt alone decides.
     """
-    e = error_between(after.fit.R_va, before.fit.R_va)
-    doubt = np.zeros((3, 3))
-    heading = True
-    for side, solution in zip(sides, (before, after), strict=True):
-        found = assess(solution.fit)
-        # The roads' mean bank is common to both sides; a turn within one of them may be the move itself.
-        covariance = found.covariance - np.diag((0.5 * found.slip) ** 2)
-        covariance[0, 0] -= solution.fit.noise.crown**2
-        doubt += covariance + FLOOR**2 * np.eye(3)
-        offered = excitation(side)
-        heading &= offered.moving > LEAST_MOVING and fits_a_car(solution.start, offered)
-    if np.linalg.norm(e[:2]) > 2.0 * _tilt_seen(sides) + LEAST_ANGLE:
-        return False  # half a minute of bends can end in a mounting that stands on its head: gravity would know
+    offered = [excitation(side) for side in sides]
+    heading = all(
+        each.moving > LEAST_MOVING and fits_a_car(solution.start, each)
+        for each, solution in zip(offered, (before, after), strict=True)
+    )
     axes = slice(0, 3) if heading else slice(0, 2)
-    e, doubt = e[axes], doubt[axes, axes]
-    return bool(np.linalg.norm(e) > LEAST_ANGLE and e @ np.linalg.solve(doubt, e) > SURE)
+    bank = OTHER_BANK * (1.0 - 0.5 * _on_one_trip(before.fit, after.fit))
+    chi2, e = disagreement(trip_evidence(before.fit), trip_evidence(after.fit), noise, axes=axes, bank=bank)
+    if np.linalg.norm(e[:2]) > 2.0 * _tilt_seen(sides) + LEAST_ANGLE:
+        return 0.0  # half a minute of bends can end in a mounting that stands on its head: gravity would know
+    return chi2 if np.linalg.norm(e[axes]) > LEAST_ANGLE and chi2 > SURE else 0.0
+
+
+def _on_one_trip(before: Fit, after: Fit) -> float:
+    """Share of both sides that is one trip, whose roads fall to one side: 0 where a pause parts them."""
+    last, first = before.trips()[-1], after.trips()[0]
+    if after.begin - before.begin - BLOCK * last.stop > PAUSE:
+        return 0.0
+    return min((part.stop - part.start) / fit.gram.shape[0] for part, fit in ((last, before), (first, after)))
 
 
 def _tilt_seen(sides: tuple[Record, Record]) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -12,7 +13,7 @@ from nav_core.mounting.closed_form import Start
 from nav_core.mounting.echo import echo
 from nav_core.mounting.model import BIAS, COURSE_LAG, MILLI_G, SPEED_LAG, TURN, UNKNOWNS, Noise, prior, turned
 from nav_core.mounting.pitch_plane import Along, along_of, pitch_plane
-from nav_core.mounting.stretch import Record, blocks_of
+from nav_core.mounting.stretch import PAUSE, Record, blocks_of
 from nav_core.mounting.whitening import Channel, Evidence, whiten
 from nav_core.mounting.yaw_plane import Across, across_of, yaw_plane
 from nav_core.typing import Floats
@@ -120,6 +121,13 @@ class Fit:
         pull = self.prior_pull - gram[..., 1:, 0]
         solution: Floats = np.einsum("...ij,...j->...i", covariance, pull)
         return solution, covariance
+
+    def trips(self) -> list[slice]:
+        """The stretches of each trip, in order of time."""
+        told = np.flatnonzero(self.count.any(axis=1))
+        ends = np.flatnonzero(np.diff(told) > PAUSE / BLOCK)
+        begins = [0, *(told[ends + 1]).tolist()]
+        return [slice(begin, end) for begin, end in pairwise([*begins, self.gram.shape[0]])]
 
 
 def weigh(record: Record, view: View, noise: Noise, p: Floats, limit: float, *, restart: bool = False) -> Evidence:

@@ -11,8 +11,7 @@ from scipy.special import fdtrc
 
 from nav_core.mounting.again import without_own
 from nav_core.mounting.model import UNKNOWNS
-from nav_core.mounting.refine import BLOCK, Fit
-from nav_core.mounting.stretch import PAUSE
+from nav_core.mounting.refine import Fit
 from nav_core.typing import Floats
 
 STRETCHES = 16
@@ -82,7 +81,7 @@ def by_stretch(fit: Fit, count: int) -> tuple[Floats, Floats]:
 def _line(fit: Fit) -> tuple[Floats, Floats]:
     """The turn about each axis from begin to end, and its variance, rad and rad², shape (3,)."""
     when = np.linspace(-0.5, 0.5, fit.gram.shape[0])
-    total = sum(without_own(_with_line(fit.gram[trip], when[trip])) for trip in _trips(fit))
+    total = sum(without_own(_with_line(fit.gram[trip], when[trip])) for trip in fit.trips())
     information = np.asarray(total)[1:, 1:]
     information[:UNKNOWNS, :UNKNOWNS] += np.diag(fit.prior + 1e-6)
     information[_LINE.start - 1 :, _LINE.start - 1 :] += 1e-6 * np.eye(3)
@@ -102,11 +101,3 @@ def _with_line(gram: Floats, when: Floats) -> Floats:
     made[_LINE, : _LINE.start] = slope[turns]
     made[_LINE, _LINE] = square[np.ix_(turns, turns)]
     return made
-
-
-def _trips(fit: Fit) -> list[slice]:
-    """The blocks of each trip."""
-    told = np.flatnonzero(fit.count.any(axis=1))
-    ends = np.flatnonzero(np.diff(told) > PAUSE / BLOCK)
-    begins = [0, *(told[ends + 1]).tolist()]
-    return [slice(begin, end) for begin, end in zip(begins, [*begins[1:], fit.gram.shape[0]], strict=True)]
