@@ -22,9 +22,6 @@ from nav_core.mounting.refine import BLOCK, Fit, likely_bias
 from nav_core.rotation import error_between
 from nav_core.typing import Floats
 
-OTHER_BANK = 2.0 * np.arctan(0.02)
-"""Most by which the mean bank of the roads of two trips differs, rad: both fall by two percent, to either side."""
-
 
 @dataclass(frozen=True, slots=True)
 class TripEvidence:
@@ -158,7 +155,7 @@ def solved(evidence: TripEvidence, noise: Noise) -> tuple[Floats, Floats]:
 
 
 def disagreement(
-    one: TripEvidence, other: TripEvidence, noise: Noise, *, axes: slice = slice(0, 3), bank: float = OTHER_BANK
+    one: TripEvidence, other: TripEvidence, noise: Noise, axes: slice = slice(0, 3)
 ) -> tuple[float, Floats]:
     """How far two sets of trips are apart.
 
@@ -168,8 +165,6 @@ def disagreement(
     noise : Noise
     axes : slice
         Those that count: all, or tilt alone.
-    bank : float
-        Most by which the mean bank of the roads may differ, rad.
 
     Returns
     -------
@@ -177,19 +172,11 @@ def disagreement(
         Squared difference over its covariance, a degree of freedom for each of the axes.
     apart : ndarray, shape (3,)
         The small rotation from `one` to `other` about the V axes, rad.
-
-    Notes
-    -----
-    Other roads are banked otherwise, within limits and by no bell curve: chi2 is the least that any such difference
-    leaves.
     """
     R_one, C_one = solved(one, noise)
     R_other, C_other = solved(other, noise)
     e = error_between(R_other, R_one)
-    information = np.linalg.inv((C_one + C_other)[axes, axes])
-    left = e[axes]
-    left = left - np.eye(left.size)[0] * np.clip(information[0] @ left / information[0, 0], -bank, bank)
-    return float(left @ information @ left), e
+    return float(e[axes] @ np.linalg.solve((C_one + C_other)[axes, axes], e[axes])), e
 
 
 def _seen_from(trip: TripEvidence, last: TripEvidence) -> Floats:

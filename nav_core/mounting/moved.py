@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from nav_core.mounting.fusion import OTHER_BANK, disagreement, trip_evidence
+from nav_core.mounting.fusion import disagreement, trip_evidence
 from nav_core.mounting.model import MILLI_G, TURN, Noise
 from nav_core.mounting.quality import excitation, fits_a_car
 from nav_core.mounting.refine import BLOCK, HUBER, Fit, view_of, weigh
@@ -41,8 +41,8 @@ is left of a difference then is what driving tells of it, and a bias cannot pass
 RESTLESS = 3.0 * MILLI_G / np.sqrt(300.0)
 """And its drift, (m/s²)/√s: a short side cannot show how fast its bias runs away."""
 
-SURE = 30.0
-"""Squared difference over its covariance (three degrees of freedom) that counts as a move."""
+SURE = 36.0
+"""Squared difference over its covariance (three degrees of freedom) that counts as a move: six sigmas."""
 
 STARTLING = 5.0
 LEAST_NEWS = 4.0
@@ -265,19 +265,10 @@ def _difference(sides: tuple[Record, Record], before: Solution, after: Solution,
         for each, solution in zip(offered, (before, after), strict=True)
     )
     axes = slice(0, 3) if heading else slice(0, 2)
-    bank = OTHER_BANK * (1.0 - 0.5 * _on_one_trip(before.fit, after.fit))
-    chi2, e = disagreement(trip_evidence(before.fit), trip_evidence(after.fit), noise, axes=axes, bank=bank)
+    chi2, e = disagreement(trip_evidence(before.fit), trip_evidence(after.fit), noise, axes)
     if np.linalg.norm(e[:2]) > 2.0 * _tilt_seen(sides) + LEAST_ANGLE:
         return 0.0  # half a minute of bends can end in a mounting that stands on its head: gravity would know
     return chi2 if np.linalg.norm(e[axes]) > LEAST_ANGLE and chi2 > SURE else 0.0
-
-
-def _on_one_trip(before: Fit, after: Fit) -> float:
-    """Share of both sides that is one trip, whose roads fall to one side: 0 where a pause parts them."""
-    last, first = before.trips()[-1], after.trips()[0]
-    if after.begin - before.begin - BLOCK * last.stop > PAUSE:
-        return 0.0
-    return min((part.stop - part.start) / fit.gram.shape[0] for part, fit in ((last, before), (first, after)))
 
 
 def _tilt_seen(sides: tuple[Record, Record]) -> float:

@@ -24,7 +24,7 @@ from server.live.changes import announce
 from server.models import Device, DeviceState, Installation, Trip, new_id
 from server.wording import marked
 
-ALGORITHM = "whole-drive/6"
+ALGORITHM = "whole-drive/7"
 """Of the worker's estimates; here, where whoever shows and compares versions needs none of the numerics."""
 MANUAL_ALGORITHM = "manual/1"
 
