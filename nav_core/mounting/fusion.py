@@ -39,6 +39,7 @@ class TripEvidence:
     duration : float
         Of the stretches behind it, s.
     trips : int
+        How many were joined; what is of one fit counts as one.
     handed : float
         Twice the log of likelihoods in favour of right-handed axes; see `trouble.handedness`.
     """
@@ -75,11 +76,8 @@ def trip_evidence(fit: Fit, handed: float = 0.0, found: Confidence | None = None
     found = found or assess(fit)
     scale = np.ones(1 + UNKNOWNS)
     scale[1:4] = 1.0 / found.widening
-    trips = fit.trips()
-    gram = np.sum([without_own(fit.gram[trip].sum(0) * np.outer(scale, scale)) for trip in trips], axis=0)
-    return TripEvidence(
-        fit.R_va, fit.speed_lag, fit.course_lag, gram, BLOCK * len(fit.gram), trips=len(trips), handed=handed
-    )
+    gram = np.sum([without_own(fit.gram[trip].sum(0) * np.outer(scale, scale)) for trip in fit.trips()], axis=0)
+    return TripEvidence(fit.R_va, fit.speed_lag, fit.course_lag, gram, BLOCK * len(fit.gram), handed=handed)
 
 
 def weakened(evidence: TripEvidence, share: float) -> TripEvidence:
