@@ -162,7 +162,8 @@ def summary(lines: list[dict[str, Any]]) -> Iterator[str]:
             yield (
                 f"| {name} within {within / 60.0:.0f} min | {100.0 * bar:.0f} % | {share:.1f} % "
                 f"of {len(rows)} (parked {_share(rows, parked=True)}, driving {_share(rows, parked=False)}); "
-                f"moment within {np.median(late):.0f} s in half, {np.percentile(late, 95.0):.0f} s in 95 % |"
+                f"moment within {np.median(late):.0f} s in half, {np.percentile(late, 95.0):.0f} s in 95 %; "
+                f"{sum(row['others'] > 0 for row in rows)} cut more often than moved |"
             )
 
 

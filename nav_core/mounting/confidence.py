@@ -44,7 +44,7 @@ class Confidence:
     Attributes
     ----------
     covariance : ndarray, shape (3, 3)
-        About the V axes, rad², everything included.
+        About the V axes, rad², everything included, as far as what a trip has of its own is the same throughout.
     observability : float
     widening : ndarray, shape (3,)
         Factors on sigma by which the drive widened the model's, per axis.

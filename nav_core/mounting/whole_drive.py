@@ -11,6 +11,7 @@ import numpy as np
 from nav_core.mounting.blows import Blow, blows, cut_out
 from nav_core.mounting.confidence import Confidence, assess
 from nav_core.mounting.fixes import usable_fixes
+from nav_core.mounting.fusion import solved, trip_evidence
 from nav_core.mounting.model import COURSE_LAG, SPEED_LAG, Noise, less_crown
 from nav_core.mounting.moved import Piece, pieces_of, startled
 from nav_core.mounting.quality import (
@@ -46,6 +47,7 @@ from nav_core.mounting.trouble import (
 from nav_core.records import Gnss, MountingChange, MountingEstimate, Reason
 from nav_core.rotation import angle_between
 from nav_core.signal import Ticks
+from nav_core.typing import Floats
 
 LOOSE = Verdict("not_fixed", 0.0, False, (reason("loose"),))
 
@@ -118,9 +120,9 @@ def analyse(ticks: Ticks, gnss: Gnss, *, noise: Noise | None = None) -> Analysis
         return Analysis(_without(refusal(reason("mirrored")), remarks=remarks), None, handed)
     if loosely_held(len(pieces) - 1, record) or _loose(pieces):
         return Analysis(_without(LOOSE, remarks=remarks), None)
-    changes = _changes(pieces, found_blows)
+    changes = _changes(pieces, found_blows, noise)
     offered = excitation(last.record)
-    found = assess(last.solution.fit)
+    R_va, found = _known(last.solution.fit, noise)
     verdict = before_fit(last.record, offered) or after_fit(last.solution.start, found, offered)
     if verdict.status in ("insufficient", "not_fixed"):
         unlike_a_car = any(each.code == "mismatch" for each in verdict.reasons)
@@ -145,7 +147,7 @@ def analyse(ticks: Ticks, gnss: Gnss, *, noise: Noise | None = None) -> Analysis
     known = MountingEstimate(
         status=verdict.status,
         method="whole-drive",
-        R_va=less_crown(fit.R_va, noise),
+        R_va=less_crown(R_va, noise),
         covariance=found.covariance,
         progress=verdict.progress,
         observability=found.observability,
@@ -189,15 +191,23 @@ def _sways(piece: Piece) -> bool:
     return gravity_wander(piece.logged) > WANDER or bool((sway(piece.solution.fit) > SWAY).any())
 
 
-def _changes(pieces: list[Piece], spoiled: tuple[Blow, ...]) -> tuple[MountingChange, ...]:
+def _known(fit: Fit, noise: Noise) -> tuple[Floats, Confidence]:
+    """The mounting and what is known of its error; several trips in one fit may deviate, each in its own way."""
+    found = assess(fit)
+    if len(fit.trips()) == 1:
+        return fit.R_va, found
+    R_va, covariance = solved(trip_evidence(fit, found=found), noise)
+    covariance[[0, 1, 2], [0, 1, 2]] += [noise.crown**2, 0.0, 0.0] + (0.5 * found.slip) ** 2
+    return R_va, replace(found, covariance=covariance)
+
+
+def _changes(pieces: list[Piece], spoiled: tuple[Blow, ...], noise: Noise) -> tuple[MountingChange, ...]:
+    if len(pieces) == 1:
+        return ()
+    mountings = [_known(piece.solution.fit, noise)[0] for piece in pieces]
     return tuple(
-        MountingChange(
-            _turned_at(before.record, after.record, spoiled),
-            angle_between(after.solution.fit.R_va, before.solution.fit.R_va),
-            before.solution.fit.R_va,
-            after.solution.fit.R_va,
-        )
-        for before, after in pairwise(pieces)
+        MountingChange(_turned_at(one.record, other.record, spoiled), angle_between(after, before), before, after)
+        for (one, before), (other, after) in pairwise(zip(pieces, mountings, strict=True))
     )
 
 
