@@ -75,7 +75,7 @@ def test_fused_trips_are_sharper_and_mean_their_sigma(installations):
 
 
 def test_several_trips_in_one_fit_mean_their_sigma():
-    """Read as one drive, what each trip has of its own passes for yaw; roll is left out, nobody knows the roads' bank."""
+    """Read as one drive, what each trip has of its own passes for yaw.  No roll: nobody knows the bank of the roads."""
     normal, single = [], []
     for seed in range(24):
         trips = [
