@@ -33,7 +33,7 @@ from nav_core.mounting.online_stream import Chunk, fixes_where, joined, jumped_b
 from nav_core.mounting.online_tally import PIECE, Tally, heard, moved_on, noted, piece_of, strangeness
 from nav_core.mounting.online_watch import Move, Watch, looked_after
 from nav_core.mounting.reasons import reason
-from nav_core.mounting.receiver import NO_CHORDS, Chords, followed_on
+from nav_core.mounting.receiver import NO_CHORDS, Chords, Repeats, followed_on, repeats_on
 from nav_core.mounting.stretch import Record
 from nav_core.mounting.trouble import wrong_unit
 from nav_core.records import Gnss, Reason
@@ -85,6 +85,8 @@ class OnlineState:
         Over the box staying where it is.
     chords : Chords
         What the receiver says of itself, see `receiver.wrong_gps_unit`.
+    repeats : Repeats
+        How long it has repeated old fixes.
     hearing : Hearing
         What is told of the receiver's lags and the gyro without a mounting.
     gyro : str or Reason
@@ -106,6 +108,7 @@ class OnlineState:
     tally: Tally = field(default_factory=Tally)
     watch: Watch = field(default_factory=Watch)
     chords: Chords = NO_CHORDS
+    repeats: Repeats = field(default_factory=Repeats)
     hearing: Hearing = field(default_factory=Hearing)
     gyro: str | Reason = UNPROVED
     moves: tuple[Move, ...] = ()
@@ -206,7 +209,8 @@ def _prepared(state: OnlineState, chunk: Chunk) -> _Work:
         last = float(record.fixes.t[-1])
         felt = float(record.t[-1]) - 0.3 + HORIZON
         heard = min(last, felt) if felt > last - 5.0 else last
-    state = replace(state, ticks=ticks, spin=spin, gnss=gnss, chords=followed_on(state.chords, gnss))
+    chords, repeats = followed_on(state.chords, gnss), repeats_on(state.repeats, gnss)
+    state = replace(state, ticks=ticks, spin=spin, gnss=gnss, chords=chords, repeats=repeats)
     return _Work(state, record, spins, heard, np.empty((0, N_COLUMNS)))
 
 
@@ -361,6 +365,7 @@ def _after(move: Move, work: _Work, now: float) -> _Work:
         spin=spin,
         gnss=gnss,
         chords=state.chords,
+        repeats=state.repeats,
         gyro=state.gyro,
         moves=(*state.moves, move),
         remarks=state.remarks,

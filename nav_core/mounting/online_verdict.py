@@ -22,7 +22,7 @@ from nav_core.mounting.online_tally import (
 )
 from nav_core.mounting.quality import LAG_KNOWN, MIN_EVENTFUL, MIN_MOVING, USELESS, missing, progress_of
 from nav_core.mounting.reasons import reason
-from nav_core.mounting.receiver import late, wrong_gps_unit
+from nav_core.mounting.receiver import frozen, late, wrong_gps_unit
 from nav_core.mounting.trouble import BENDS, FOLLOWED, HANDED, TRUSTED_AFTER, explained, wrong_unit
 from nav_core.records import Drive, MountingChange, MountingEstimate, Reason
 from nav_core.rotation import angle_between
@@ -105,8 +105,8 @@ def assess(state: OnlineState) -> MountingEstimate:
 
 def _remarks(state: OnlineState, speed_lag: float | None, course_lag: float | None) -> tuple[Reason, ...]:
     """What was found and dealt with."""
-    gyro = () if isinstance(state.gyro, str) else (state.gyro,)
-    return (*gyro, *late(speed_lag, course_lag), *state.remarks)
+    found = (None if isinstance(state.gyro, str) else state.gyro, frozen(state.repeats))
+    return (*(each for each in found if each is not None), *late(speed_lag, course_lag), *state.remarks)
 
 
 def _changes(state: OnlineState, present: Floats | None) -> tuple[MountingChange, ...]:

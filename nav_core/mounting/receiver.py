@@ -9,7 +9,6 @@ import numpy as np
 from nav_core.mounting.reasons import reason
 from nav_core.records import Gnss, Reason
 from nav_core.rotation import wrap
-from nav_core.signal import runs
 from nav_core.timebase import stale
 from nav_core.typing import Floats
 
@@ -43,26 +42,60 @@ def slow_fixes(gnss: Gnss) -> Reason | None:
     return reason("slow_gps", f"{rate:.2g}") if rate < SLOW_FIXES else None
 
 
-def frozen(gnss: Gnss) -> Reason | None:
+class Repeats(NamedTuple):
+    """How long a receiver has repeated old fixes."""
+
+    since: float = -np.inf
+    """Box time of the latest fix that carried news, s."""
+    until: float = -np.inf
+    """Of the latest that did not carry any, or of the same, s."""
+    lost: float = 0.0
+    """By repeats of at least `FROZEN` before that, s."""
+
+
+def repeats_on(before: Repeats, gnss: Gnss) -> Repeats:
+    """The same after more of the stream.
+
+    Parameters
+    ----------
+    before : Repeats
+        Of the fixes so far.
+    gnss : Gnss
+        Fixes that begin before the end of those, or later, and go on.
+
+    Returns
+    -------
+    Repeats
+    """
+    since, until, lost = before
+    new = gnss.t > until
+    for t, repeated in zip(gnss.t[new].tolist(), stale(gnss)[new].tolist(), strict=True):
+        if not repeated:
+            lost += _lost(since, until)
+            since = t
+        until = t
+    return Repeats(since, until, lost)
+
+
+def frozen(told: Repeats) -> Reason | None:
     """Whether the receiver repeated old fixes for long.
 
     Parameters
     ----------
-    gnss : Gnss
-        Of a recording.
+    told : Repeats
+        Of a recording or a stream.
 
     Returns
     -------
     Reason or None
         With the time that was lost, s; None where there was none.
     """
-    repeated = stale(gnss)
-    if not repeated.any():
-        return None
-    first, after = np.array(runs(repeated)).T
-    begin, end = gnss.t[np.maximum(first - 1, 0)], gnss.t[after - 1]
-    long = end - begin >= FROZEN
-    return reason("gps_frozen", f"{float((end - begin)[long].sum()):.0f}") if long.any() else None
+    lost = told.lost + _lost(told.since, told.until)
+    return reason("gps_frozen", f"{lost:.0f}") if lost > 0.0 else None
+
+
+def _lost(since: float, until: float) -> float:
+    return until - since if until - since >= FROZEN else 0.0
 
 
 def late(speed_lag: float | None, course_lag: float | None) -> tuple[Reason, ...]:

@@ -21,7 +21,7 @@ from nav_core.mounting.fixes import FOLLOW_SPEED, Fixes
 from nav_core.mounting.model import GRAVITY, Noise
 from nav_core.mounting.quality import excitation, fits_a_car
 from nav_core.mounting.reasons import reason
-from nav_core.mounting.receiver import chords, frozen, slow_fixes, wrong_gps_unit
+from nav_core.mounting.receiver import Repeats, chords, frozen, repeats_on, slow_fixes, wrong_gps_unit
 from nav_core.mounting.refine import HUBER, Fit, refine, weigh
 from nav_core.mounting.reversing import reversals
 from nav_core.mounting.solution import EXCERPT, Solution, excerpt
@@ -130,7 +130,7 @@ def inspect(ticks: Ticks, gnss: Gnss, fixes: Fixes) -> Trouble:
     backwards = reversals(gnss)
     if backwards:
         remarks.append(reason("reversing", f"{sum(span.end - span.begin for span in backwards):.0f}"))
-    for remark in (frozen(gnss), slow_fixes(gnss), slow_samples(ticks)):
+    for remark in (frozen(repeats_on(Repeats(), gnss)), slow_fixes(gnss), slow_samples(ticks)):
         if remark is not None:
             remarks.append(remark)
     if stuck:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -12,13 +13,15 @@ from nav_core.mounting import estimate_mounting
 from nav_core.mounting.clocks import clock_jumps
 from nav_core.mounting.fusion import joined
 from nav_core.mounting.model import Noise
-from nav_core.mounting.online_stream import fixes_where
-from nav_core.mounting.receiver import NO_CHORDS, chords, followed_on, frozen, wrong_gps_unit
+from nav_core.mounting.online import advance, begin
+from nav_core.mounting.online_stream import chunks_of, fixes_where
+from nav_core.mounting.online_verdict import assess
+from nav_core.mounting.receiver import NO_CHORDS, Repeats, chords, followed_on, frozen, repeats_on, wrong_gps_unit
 from nav_core.mounting.reversing import reversals
 from nav_core.mounting.stuck import stuck_axis
 from nav_core.mounting.trips import told_of
 from nav_core.mounting.trouble import sampling_rate
-from nav_core.records import Drive, Gnss, Inertial, MountingEstimate
+from nav_core.records import Drive, Gnss, Inertial, MountingEstimate, Reason
 from nav_core.rotation import angle_between, error_between
 from nav_core.signal import decimate
 from nav_core.simulate import Move, Scenario, Truth, simulate
@@ -198,6 +201,33 @@ def test_a_frozen_receiver_is_named_and_costs_little(gnss_rate: float):
         assert "gps_frozen" in _codes(found)
         assert "utc_jump" not in _codes(found)
         assert _error_deg(found, truth.R_va) < 4.0
+
+
+@pytest.mark.parametrize("gnss_rate", [1.0, 10.0])
+@pytest.mark.parametrize("dated", [True, False])
+def test_a_frozen_receiver_is_named_online_while_it_is(gnss_rate: float, *, dated: bool):
+    drive, truth = _drive(seed=20, gnss_rate=gnss_rate, frozen=((88.0, 103.0), (240.0, 270.0)))
+    drive = drive if dated else replace(drive, gnss=replace(drive.gnss, utc=None))
+    state, said = begin(), []
+    for chunk in chunks_of(drive, 1.0):
+        state = advance(state, chunk)
+        said.append([_seconds(each) for each in assess(state).reasons if each.code == "gps_frozen"])
+    assert said[87] == []
+    assert said[150] == pytest.approx([15.0], abs=1.5)
+    assert said[150] < said[255] < said[269]
+    assert said[-1] == pytest.approx([45.0], abs=3.0)
+    whole = frozen(repeats_on(Repeats(), drive.gnss))
+    assert whole is not None
+    assert said[-1] == [_seconds(whole)]
+    found = assess(state)
+    assert found.status == "ready"
+    assert _error_deg(found, truth.R_va) < 4.0
+
+
+def _seconds(told: Reason) -> float:
+    number = re.search(r"(\d+) s;", told.text)
+    assert number is not None
+    return float(number[1])
 
 
 def test_without_utc_a_frozen_receiver_is_seen_by_its_content():
@@ -409,7 +439,7 @@ def test_an_ordinary_drive_is_in_no_trouble():
         drive, _ = _drive(route, duration, 30, clock_drift=4e-5)
         assert clock_jumps(drive.gnss) == ((), [])
         assert reversals(drive.gnss) == ()
-        assert frozen(drive.gnss) is None
+        assert frozen(repeats_on(Repeats(), drive.gnss)) is None
         assert estimate_mounting(drive).reasons == ()
 
 
