@@ -8,6 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from nav_core.mounting.confidence import CONVERGED
+from nav_core.mounting.model import CROWN
 from nav_core.mounting.online_measurements import CLIPPED, FADE
 from nav_core.mounting.online_model import (
     ACROSS,
@@ -38,9 +39,6 @@ MOVING = 2.0
 
 FLOOR = np.radians(0.1)
 """What a box's triad and a car's springs do that the model does not know, rad per axis."""
-
-CROWN = np.radians(0.8)
-"""Mean sideways tilt of a drive's roads: part of the mounting for all the data can tell, rad."""
 
 SHORT = 20.0
 """A road of this many seconds is one sample of what roads are like: sigma is widened by ``sqrt(1 + SHORT / T)``."""

@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from nav_core.mounting.model import CROWN
 from nav_core.mounting.moved import LEAST_ANGLE, LEAST_NEWS, STARTLING, SURE
 from nav_core.mounting.online_model import (
     BIAS,
@@ -26,7 +27,7 @@ from nav_core.mounting.online_model import (
     Tuning,
     prior_sigma,
 )
-from nav_core.mounting.online_tally import CROWN, FLOOR, PIECE, SHORT, Tally, covariance_of, mounting_of, widening
+from nav_core.mounting.online_tally import FLOOR, PIECE, SHORT, Tally, covariance_of, mounting_of, widening
 from nav_core.rotation import error_between
 from nav_core.typing import Floats
 

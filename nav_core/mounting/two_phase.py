@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 from nav_core.mounting.closed_form import level_basis
 from nav_core.mounting.confidence import CONVERGED, observability
 from nav_core.mounting.fixes import gps_rate, unrolled, usable_fixes
-from nav_core.mounting.model import GRAVITY
+from nav_core.mounting.model import CROWN, GRAVITY
 from nav_core.mounting.quality import USELESS, too_little
 from nav_core.mounting.reasons import reason
 from nav_core.mounting.receiver import chords, wrong_gps_unit
@@ -51,9 +51,8 @@ LONG = 400.0
 KNOWN_ROAD = np.radians(0.3)
 """What remains of them on a road whose slope and bank are given, rad."""
 
-CROWN = np.radians(0.8)
 BIAS = 6e-3 * GRAVITY
-"""What no amount of driving averages out: a mean sideways tilt, rad, and the accelerometer's bias, m/s²."""
+"""Of the accelerometer, which no amount of driving averages out, m/s²."""
 
 SHORT_OF = 0.3
 """By this share the felt acceleration may differ from the receiver's."""
