@@ -197,9 +197,24 @@ def _still(record: Record, noise: Noise, depth: int) -> list[Solution]:
         # Whether neighbouring trips differ does not depend on the suspicion: it is asked once.
         cut = _confirmed(record, when, noise) or (None if number else _between_trips(record, noise))
         if cut is not None:
-            first, second = cut
-            return _still(first, noise, depth - 1) + _still(second, noise, depth - 1)
+            first, second = (_still(side, noise, depth - 1) for side in cut)
+            return first + second if len(first) == len(second) == 1 else _rejoined(record, first, second, noise)
     return [solution]
+
+
+def _rejoined(record: Record, first: list[Solution], second: list[Solution], noise: Noise) -> list[Solution]:
+    """The pieces of two sides that were cut again, as one where they meet if that cut stood in the wrong place."""
+    sides = first[-1].record, second[0].record
+    wary = _wary(noise)
+    if _differ(sides, solve(sides[0], wary), solve(sides[1], wary), wary):
+        return first + second
+    whole = between(record, sides[0].fixes.t[0], sides[1].fixes.t[-1])
+    return [*first[:-1], solve(whole, noise), *second[1:]]
+
+
+def _wary(noise: Noise) -> Noise:
+    """The same of two sides that may have a bias each."""
+    return replace(noise, bias=max(noise.bias, STRANGER), drift=max(noise.drift, RESTLESS))
 
 
 def _between_trips(record: Record, noise: Noise) -> tuple[Record, Record] | None:
@@ -211,33 +226,31 @@ def _between_trips(record: Record, noise: Noise) -> tuple[Record, Record] | None
     pauses = np.flatnonzero(np.diff(t) > PAUSE)
     if pauses.size < 2:
         return None
-    noise = replace(noise, bias=max(noise.bias, STRANGER), drift=max(noise.drift, RESTLESS))
+    noise = _wary(noise)
     edges = np.concatenate([[t[0]], t[pauses + 1]])
     ends = np.concatenate([t[pauses], [t[-1]]])
     trips = [between(record, begin, end) for begin, end in zip(edges, ends, strict=True)]
     trips = [trip for trip in trips if excitation(trip).moving > LEAST_MOVING and trip.t.size >= LEAST_TICKS]
     solutions = [solve(trip, noise) for trip in trips]
     for number, (one, other) in enumerate(pairwise(trips)):
-        if _difference((one, other), solutions[number], solutions[number + 1], noise) > 0.0:
+        if _differ((one, other), solutions[number], solutions[number + 1], noise):
             when = float(other.fixes.t[0])
             return between(record, t[0], np.nextafter(when, t[0])), between(record, when, t[-1])
     return None
 
 
 def _confirmed(record: Record, when: float, noise: Noise) -> tuple[Record, Record] | None:
-    """Both sides of a suspected move, cut where they differ most as the moment is sharpened; None when they agree."""
-    noise = replace(noise, bias=max(noise.bias, STRANGER), drift=max(noise.drift, RESTLESS))
+    """Both sides of a suspected move, with the moment sharpened; None when they agree."""
+    noise = _wary(noise)
     confirmed: tuple[Record, Record] | None = None
-    most = 0.0
     for _ in range(2):
         sides = _sides(record, when)
         if sides is None:
             break
         before, after = (solve(side, noise) for side in sides)
-        difference = _difference(sides, before, after, noise)
-        if difference <= most:
+        if not _differ(sides, before, after, noise):
             break
-        confirmed, most = sides, difference
+        confirmed = sides
         sharper = _moment(record, when, before.fit, after.fit, noise)
         if abs(sharper - when) < BLOCK:
             break
@@ -253,8 +266,8 @@ def _sides(record: Record, when: float) -> tuple[Record, Record] | None:
     return sides if all(side.fixes.t.size >= 5 and side.t.size >= LEAST_TICKS for side in sides) else None
 
 
-def _difference(sides: tuple[Record, Record], before: Solution, after: Solution, noise: Noise) -> float:
-    """Squared difference of the mountings of two sides over its covariance; 0 where it is within their doubt.
+def _differ(sides: tuple[Record, Record], before: Solution, after: Solution, noise: Noise) -> bool:
+    """Whether the mountings of two sides differ by more than their doubt.
 
     Half a minute without much traffic can hold a heading that is wrong and sure of itself; where the
     closed form does not see a car, tilt alone decides.
@@ -267,8 +280,8 @@ def _difference(sides: tuple[Record, Record], before: Solution, after: Solution,
     axes = slice(0, 3) if heading else slice(0, 2)
     chi2, e = disagreement(trip_evidence(before.fit), trip_evidence(after.fit), noise, axes)
     if np.linalg.norm(e[:2]) > 2.0 * _tilt_seen(sides) + LEAST_ANGLE:
-        return 0.0  # half a minute of bends can end in a mounting that stands on its head: gravity would know
-    return chi2 if np.linalg.norm(e[axes]) > LEAST_ANGLE and chi2 > SURE else 0.0
+        return False  # half a minute of bends can end in a mounting that stands on its head: gravity would know
+    return bool(np.linalg.norm(e[axes]) > LEAST_ANGLE and chi2 > SURE)
 
 
 def _tilt_seen(sides: tuple[Record, Record]) -> float:
