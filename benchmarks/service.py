@@ -21,6 +21,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import service_load as load
 import service_rows
+from service_installation import OTHERS, Api, installation
 from timing import Row, markdown, print_rows
 
 from server.backup.archive import backup, restore
@@ -48,7 +49,7 @@ def main() -> None:
     if unknown := set(args.parts) - set(PARTS):
         parser.error(f"no such part: {', '.join(sorted(unknown))}")
     # The API's processes are put on the first core when they start; all else stays off it.
-    os.sched_setaffinity(0, load.OTHERS)
+    os.sched_setaffinity(0, OTHERS)
     for part in args.parts or PARTS:
         before = os.getloadavg()[0]
         title, rows = MEASURES[part](args)
@@ -76,7 +77,7 @@ def ingest(args: argparse.Namespace) -> tuple[str, list[Row]]:
     rows: list[Row] = []
     for database in ("SQLite", "PostgreSQL"):
         for encoding, bar in (("compact", "≥ 1.5 M/s"), ("json", "≥ 0.3 M/s")):
-            with load.installation(database) as api:
+            with installation(database) as api:
                 full = asyncio.run(load.saturate(api, encoding, seconds))
                 paced = asyncio.run(load.paced(api, encoding, seconds, 0.7 * full.per_s))
             what = f"{database}, {encoding}"
@@ -92,7 +93,7 @@ def ingest(args: argparse.Namespace) -> tuple[str, list[Row]]:
 def rows_side_by_side(args: argparse.Namespace) -> tuple[str, list[Row]]:
     """Columns in blobs against a row per reading, the same bodies in one run."""
     seconds = 8.0 if args.short else 30.0
-    with load.installation("PostgreSQL") as api:
+    with installation("PostgreSQL") as api:
         ours = asyncio.run(load.saturate(api, "compact", seconds))
         bytes_ours = api.stored_bytes() / ours.readings
     ours_per_cpu = ours.readings / ours.all_cpu_s
@@ -127,7 +128,7 @@ def worker(args: argparse.Namespace) -> tuple[str, list[Row]]:
     count = 60 if args.short else 500
     took: dict[int, load.Worked] = {}
     for workers in (1, 2):
-        with OwnRabbit(load.OTHERS) as rabbit, load.installation("PostgreSQL", broker_url=rabbit.url) as api:
+        with OwnRabbit(OTHERS) as rabbit, installation("PostgreSQL", broker_url=rabbit.url) as api:
             asyncio.run(load.fill(api, count))
             api.stop()
             took[workers] = load.work_off(api.environment, count, workers)
@@ -163,7 +164,7 @@ def restored(args: argparse.Namespace) -> tuple[str, list[Row]]:
     seconds = 6.0 if args.short else 30.0
     rows: list[Row] = []
     for database in ("SQLite", "PostgreSQL"):
-        with load.installation(database) as api, OwnPostgres(load.OTHERS) as other:
+        with installation(database) as api, OwnPostgres(OTHERS) as other:
             into = {"database_url": other.url} if database == "PostgreSQL" else {"database_url": None}
             settings = Settings(data_dir=api.folder / "data", database_url=api.database_url)
             out = api.folder / "backup"
@@ -176,7 +177,7 @@ def restored(args: argparse.Namespace) -> tuple[str, list[Row]]:
     return "Restore of a backup taken under load", rows
 
 
-async def _backed_up(api: load.Api, settings: Settings, out: Path, seconds: float) -> tuple[str, load.Run]:
+async def _backed_up(api: Api, settings: Settings, out: Path, seconds: float) -> tuple[str, load.Run]:
     """Hash of a backup's content, and what was stored meanwhile."""
     streaming = asyncio.create_task(load.saturate(api, "compact", seconds, connections=2))
     await asyncio.sleep(seconds / 3)  # so that there is something to keep

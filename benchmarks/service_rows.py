@@ -23,7 +23,7 @@ import numpy as np
 import psycopg
 import uvicorn
 from fastapi import FastAPI, Request
-from service_load import API_CORE, OTHERS, Api, is_ready, start
+from service_installation import API_CORE, OTHERS, Api, is_ready, start
 
 from server.formats.columns import Columns
 from server.formats.decode import decode

@@ -8,10 +8,9 @@ from __future__ import annotations
 
 import datetime as dt
 from collections.abc import Awaitable, Callable
-from typing import Annotated, Any, cast
+from typing import Annotated, cast
 
 from fastapi import Depends
-from sqlalchemy.orm import Session
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import HTTPConnection
 
@@ -73,7 +72,7 @@ def look(connection: HTTPConnection, caller: Caller, permission: Permission, *, 
         return
     with cast("Database", state.database).transaction() as session:
         detail = {"query": query} if query else {}
-        audit.record(session, caller, permission, subject, now=now, address=address_of(connection), detail=detail)
+        audit.record(session, caller, permission, subject, now=now, detail=detail)
 
 
 def look_at_places(connection: HTTPConnection, caller: Caller) -> None:
@@ -93,20 +92,6 @@ def sees_places(at_least: Permission) -> Callable[[HTTPConnection], Awaitable[Ca
         return caller
 
     return with_sight
-
-
-def note(
-    session: Session,
-    connection: HTTPConnection,
-    caller: Caller,
-    action: str,
-    subject: str,
-    *,
-    now: dt.datetime,
-    detail: dict[str, Any] | None = None,
-) -> None:
-    """Write what a caller does to the audit log, in the transaction that does it."""
-    audit.record(session, caller, action, subject, now=now, address=address_of(connection), detail=detail)
 
 
 def address_of(connection: HTTPConnection) -> str:
@@ -170,5 +155,4 @@ __all__ = [
     "look",
     "look_at_places",
     "needs",
-    "note",
 ]

@@ -25,10 +25,9 @@ def record(
     subject: str,
     *,
     now: dt.datetime,
-    address: str | None = None,
     detail: dict[str, Any] | None = None,
 ) -> None:
-    """Write an entry in the transaction of what it tells of; from the caller's address unless another is told."""
+    """Write an entry in the transaction of what it tells of."""
     session.add(
         AuditEntry(
             at=now,
@@ -39,7 +38,7 @@ def record(
             action=action,
             subject=subject[:200],
             detail=detail or {},
-            address=(caller.address if address is None else address)[:64],
+            address=caller.address[:64],
         )
     )
 

@@ -62,18 +62,18 @@ def sign_in(
         step = passwords.totp_step(user.totp_secret, code, after=user.totp_step, now=now)
     # The password may have been changed since it was compared.
     right = right and user.password_hash == found.password_hash and (step is not None or not user.totp_confirmed)
-    caller = Caller(user.organisation_id, "session", name=user.email, user_id=user.id)
+    caller = Caller(user.organisation_id, "session", name=user.email, user_id=user.id, address=address)
     if locked or not right or user.disabled_at is not None:
         if not locked:
             user.failures += 1
             if user.failures >= FREE_FAILURES:
                 doublings = min(user.failures - FREE_FAILURES, 10)
                 user.locked_until = now + min(_FIRST_LOCK * 2**doublings, _LONGEST_LOCK)
-        audit.record(session, caller, "sign_in.failed", user.email, now=now, address=address)
+        audit.record(session, caller, "sign_in.failed", user.email, now=now)
         return None
     user.failures, user.locked_until, user.signed_in_at = 0, None, now
     user.totp_step = step if step is not None else user.totp_step
-    audit.record(session, caller, "sign_in", user.email, now=now, address=address)
+    audit.record(session, caller, "sign_in", user.email, now=now)
     return service.open_session(session, user.organisation_id, now=now, user_id=user.id)
 
 

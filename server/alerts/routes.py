@@ -9,7 +9,8 @@ from fastapi import APIRouter, Path, Query, Request
 from sqlalchemy.orm import Session
 from starlette.responses import Response
 
-from server.accounts.access import Administrator, Caller, Reader, look_at_places, note
+from server.accounts import audit
+from server.accounts.access import Administrator, Caller, Reader, look_at_places
 from server.accounts.places import Sight, seen, sight_of
 from server.alerts import delivery, queries, service
 from server.alerts.schemas import (
@@ -102,12 +103,12 @@ def list_rules(caller: Reader, database: DatabaseOf) -> list[RuleOut]:
 
 
 @router.post("/alert-rules", status_code=201, responses=described(409))
-def add_rule(request: Request, wanted: RuleIn, caller: Administrator, database: DatabaseOf, now: Now) -> RuleOut:
+def add_rule(wanted: RuleIn, caller: Administrator, database: DatabaseOf, now: Now) -> RuleOut:
     """Be told of something."""
     with database.transaction() as session:
         rule_id = service.set_rule(session, caller.organisation_id, None, wanted, now=now)
         row = queries.rule_of(session, caller.organisation_id, rule_id)
-        note_rule(session, request, caller, "rule.added", row, now=now)
+        note_rule(session, caller, "rule.added", row, now=now)
         return rule_out(row)
 
 
@@ -119,23 +120,21 @@ def read_rule(rule_id: Id, caller: Reader, database: DatabaseOf) -> RuleOut:
 
 
 @router.put("/alert-rules/{rule_id}", responses=described(409))
-def change_rule(
-    request: Request, rule_id: Id, wanted: RuleIn, caller: Administrator, database: DatabaseOf, now: Now
-) -> RuleOut:
+def change_rule(rule_id: Id, wanted: RuleIn, caller: Administrator, database: DatabaseOf, now: Now) -> RuleOut:
     """The whole rule anew; its kind stays."""
     with database.transaction() as session:
         service.set_rule(session, caller.organisation_id, rule_id, wanted, now=now)
         row = queries.rule_of(session, caller.organisation_id, rule_id)
-        note_rule(session, request, caller, "rule.changed", row, now=now)
+        note_rule(session, caller, "rule.changed", row, now=now)
         return rule_out(row)
 
 
 @router.delete("/alert-rules/{rule_id}", status_code=204)
-def remove_rule(request: Request, rule_id: Id, caller: Administrator, database: DatabaseOf, now: Now) -> Response:
+def remove_rule(rule_id: Id, caller: Administrator, database: DatabaseOf, now: Now) -> Response:
     """Look for it no more; its alerts stay."""
     with database.transaction() as session:
         row = queries.rule_of(session, caller.organisation_id, rule_id)
-        note_rule(session, request, caller, "rule.removed", row, now=now)
+        note_rule(session, caller, "rule.removed", row, now=now)
         service.remove_rule(session, caller.organisation_id, rule_id)
     return Response(status_code=204)
 
@@ -150,14 +149,14 @@ def list_channels(caller: Administrator, database: DatabaseOf) -> list[ChannelOu
 
 @router.post("/alert-channels", status_code=201, responses=described(409))
 def add_channel(
-    request: Request, wanted: ChannelIn, caller: Administrator, settings: SettingsOf, database: DatabaseOf, now: Now
+    wanted: ChannelIn, caller: Administrator, settings: SettingsOf, database: DatabaseOf, now: Now
 ) -> ChannelMade:
     """Add an e-mail or webhook channel; a webhook's secret is shown once, here."""
     with database.transaction() as session:
         made = service.add_channel(
             session, caller.organisation_id, wanted, guard=Guard(settings.webhook_networks), now=now
         )
-        note_channel(session, caller, "channel.added", made, request, now)
+        note_channel(session, caller, "channel.added", made, now)
     return made
 
 
@@ -171,7 +170,6 @@ def read_channel(channel_id: Id, caller: Administrator, database: DatabaseOf) ->
 
 @router.put("/alert-channels/{channel_id}", responses=described(409))
 def change_channel(
-    request: Request,
     channel_id: Id,
     wanted: ChannelIn,
     caller: Administrator,
@@ -185,30 +183,26 @@ def change_channel(
             session, caller.organisation_id, channel_id, wanted, guard=Guard(settings.webhook_networks)
         )
         told = ChannelOut.model_validate(row, from_attributes=True)
-        note_channel(session, caller, "channel.changed", told, request, now)
+        note_channel(session, caller, "channel.changed", told, now)
     return told
 
 
 @router.post("/alert-channels/{channel_id}/secret", responses=described(409))
-def new_secret(request: Request, channel_id: Id, caller: Administrator, database: DatabaseOf, now: Now) -> ChannelMade:
+def new_secret(channel_id: Id, caller: Administrator, database: DatabaseOf, now: Now) -> ChannelMade:
     """Another secret for a webhook, shown once; the old one ends at once."""
     with database.transaction() as session:
         made = service.new_secret(session, caller.organisation_id, channel_id)
-        note_channel(session, caller, "channel.secret", made, request, now)
+        note_channel(session, caller, "channel.secret", made, now)
     return made
 
 
 @router.post("/alert-channels/{channel_id}/test")
-def send_test(
-    request: Request, channel_id: Id, caller: Administrator, settings: SettingsOf, database: DatabaseOf, now: Now
-) -> TestOut:
+def send_test(channel_id: Id, caller: Administrator, settings: SettingsOf, database: DatabaseOf, now: Now) -> TestOut:
     """Send a message that says it is a test, at once and once; what came of it."""
-    return tested(request, channel_id, caller, settings, database, now)
+    return tested(channel_id, caller, settings, database, now)
 
 
-def tested(
-    request: Request, channel_id: str, caller: Caller, settings: Settings, database: Database, now: dt.datetime
-) -> TestOut:
+def tested(channel_id: str, caller: Caller, settings: Settings, database: Database, now: dt.datetime) -> TestOut:
     """Try a channel outside any transaction, and tell the audit log."""
     with database.reading() as session:
         row = queries.channel_of(session, caller.organisation_id, channel_id)
@@ -217,7 +211,7 @@ def tested(
     told = TestOut(delivered=answer.delivered, status=answer.status, detail=answer.detail)
     with database.transaction() as session:
         detail = {"name": row.name, "delivered": told.delivered, "status": told.status}
-        note(session, request, caller, "channel.tested", f"channel={channel_id}", now=now, detail=detail)
+        audit.record(session, caller, "channel.tested", f"channel={channel_id}", now=now, detail=detail)
     return told
 
 
@@ -229,13 +223,13 @@ def replay_channel(channel_id: Id, caller: Administrator, database: DatabaseOf, 
 
 
 @router.delete("/alert-channels/{channel_id}", status_code=204)
-def remove_channel(request: Request, channel_id: Id, caller: Administrator, database: DatabaseOf, now: Now) -> Response:
+def remove_channel(channel_id: Id, caller: Administrator, database: DatabaseOf, now: Now) -> Response:
     """Tell nobody there any more."""
     with database.transaction() as session:
         row = queries.channel_of(session, caller.organisation_id, channel_id)
         told = ChannelOut.model_validate(row, from_attributes=True)
         service.remove_channel(session, caller.organisation_id, channel_id)
-        note_channel(session, caller, "channel.removed", told, request, now)
+        note_channel(session, caller, "channel.removed", told, now)
     return Response(status_code=204)
 
 
@@ -293,20 +287,18 @@ def read_theft(vehicle_id: Id, caller: Reader, database: DatabaseOf) -> TheftOut
 
 
 @router.put("/vehicles/{vehicle_id}/theft")
-def put_theft(
-    request: Request, vehicle_id: Id, wanted: TheftIn, caller: Administrator, database: DatabaseOf, now: Now
-) -> TheftOut:
+def put_theft(vehicle_id: Id, wanted: TheftIn, caller: Administrator, database: DatabaseOf, now: Now) -> TheftOut:
     """Arm a vehicle by hand, so that any movement is an alarm; or end that, and an alarm."""
     with database.transaction() as session:
-        arm(session, request, caller, vehicle_id, armed=wanted.armed, now=now)
+        arm(session, caller, vehicle_id, armed=wanted.armed, now=now)
         session.flush()
         return queries.theft(session, caller.organisation_id, vehicle_id)
 
 
-def arm(session: Session, request: Request, caller: Caller, vehicle_id: str, *, armed: bool, now: dt.datetime) -> None:
+def arm(session: Session, caller: Caller, vehicle_id: str, *, armed: bool, now: dt.datetime) -> None:
     """Arm or disarm, and tell the audit log."""
     service.arm(session, caller.organisation_id, vehicle_id, armed=armed, actor=caller.name, now=now)
-    note(session, request, caller, "theft.armed" if armed else "theft.ended", f"vehicle={vehicle_id}", now=now)
+    audit.record(session, caller, "theft.armed" if armed else "theft.ended", f"vehicle={vehicle_id}", now=now)
 
 
 def rule_out(row: AlertRule) -> RuleOut:
@@ -339,17 +331,13 @@ def _with_places(facts: dict[str, Any], sight: Sight) -> dict[str, Any]:
     return told
 
 
-def note_channel(
-    session: Session, caller: Caller, action: str, channel: ChannelOut, request: Request, now: dt.datetime
-) -> None:
+def note_channel(session: Session, caller: Caller, action: str, channel: ChannelOut, now: dt.datetime) -> None:
     """Tell the audit log of a channel."""
     detail = {"kind": channel.kind, "name": channel.name, "emergency": channel.emergency, "enabled": channel.enabled}
-    note(session, request, caller, action, f"channel={channel.id}", now=now, detail=detail)
+    audit.record(session, caller, action, f"channel={channel.id}", now=now, detail=detail)
 
 
-def note_rule(
-    session: Session, request: Request, caller: Caller, action: str, rule: AlertRule, *, now: dt.datetime
-) -> None:
+def note_rule(session: Session, caller: Caller, action: str, rule: AlertRule, *, now: dt.datetime) -> None:
     """Tell the audit log of a rule."""
     detail = {"kind": rule.kind, "name": rule.name, "enabled": rule.enabled}
-    note(session, request, caller, action, f"rule={rule.id}", now=now, detail=detail)
+    audit.record(session, caller, action, f"rule={rule.id}", now=now, detail=detail)

@@ -6,11 +6,11 @@ import datetime as dt
 from dataclasses import dataclass
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Depends, Query, Request
+from fastapi import APIRouter, Depends, Query
 from starlette.responses import StreamingResponse
 
 from server.accounts import audit
-from server.accounts.access import Caller, Exporter, address_of, needs
+from server.accounts.access import Caller, Exporter, needs
 from server.bulk.service import Kind, Wanted, export
 from server.database import Database
 from server.edge import DatabaseOf, Moment, Now, StoreOf
@@ -31,7 +31,6 @@ Raw = Annotated[Caller, Depends(needs("raw.read"))]
 class Asked:
     """What every export is asked with."""
 
-    request: Request
     caller: Caller
     database: Database
     store: BlobStore
@@ -45,15 +44,13 @@ class Asked:
         wanted = Wanted(kind, self.device_id, self.since, self.until)
         with self.database.transaction() as session:
             # Not as a look: each one is written down, also when it is repeated.
-            address, detail = address_of(self.request), wanted.told()
-            audit.record(session, self.caller, "export", kind, now=self.now, address=address, detail=detail)
+            audit.record(session, self.caller, "export", kind, now=self.now, detail=wanted.told())
         name = f"{kind}-{self.now:%Y%m%dT%H%M%SZ}.parquet"
         headers = {"Content-Disposition": f'attachment; filename="{name}"'}
         return StreamingResponse(export(self.database, self.store, wanted), media_type=MEDIA_TYPE, headers=headers)
 
 
 async def _asked(
-    request: Request,
     caller: Exporter,
     database: DatabaseOf,
     store: StoreOf,
@@ -62,7 +59,7 @@ async def _asked(
     since: Annotated[Moment | None, Query(alias="from")] = None,
     until: Annotated[Moment | None, Query(alias="to")] = None,
 ) -> Asked:
-    return Asked(request, caller, database, store, now, device, since, until)
+    return Asked(caller, database, store, now, device, since, until)
 
 
 # The permission stands beside it, where a reader of the routes and their test look for it.

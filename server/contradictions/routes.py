@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from fastapi import APIRouter, Path, Query, Request
+from fastapi import APIRouter, Path, Query
 
 from server.accounts import audit
-from server.accounts.access import RawReader, Reader, Reviewer, address_of
+from server.accounts.access import RawReader, Reader, Reviewer
 from server.contradictions import queries, service
 from server.contradictions.schemas import ClaimIn, ClaimOut, ContradictionsOut
 from server.edge import DatabaseOf, Now, StoreOf
@@ -29,7 +29,6 @@ def read_contradictions(event_id: Id, caller: Reader, database: DatabaseOf) -> C
 
 @router.post("/accident-claims", status_code=201)
 def register(
-    request: Request,
     wanted: ClaimIn,
     caller: Reviewer,
     _raw: RawReader,
@@ -45,7 +44,7 @@ def register(
     with database.transaction() as session:
         row = service.register(session, caller.organisation_id, wanted, boxes, samples, actor=caller.name, now=now)
         subject = f"vehicle={wanted.vehicle_id} claim={row.id}"
-        audit.record(session, caller, "claim.registered", subject, now=now, address=address_of(request))
+        audit.record(session, caller, "claim.registered", subject, now=now)
         return queries.claim_out(row)
 
 

@@ -18,7 +18,6 @@ from server.accounts.access import (
     RawReader,
     Reader,
     Reviewer,
-    address_of,
     look_at_places,
 )
 from server.accounts.places import sight_of
@@ -89,7 +88,6 @@ def list_events(
 
 @router.get("/verdicts", responses={200: {"content": {"text/csv": {"schema": {"type": "string"}}}}})
 def read_verdicts(
-    request: Request,
     caller: Reviewer,
     database: DatabaseOf,
     now: Now,
@@ -101,7 +99,7 @@ def read_verdicts(
     with database.transaction() as session:
         rows = list(verdicts.verdicts(session, caller.organisation_id, since=since, until=until))
         detail = {"format": form, "events": len(rows)}
-        audit.record(session, caller, "export", "verdicts", now=now, address=address_of(request), detail=detail)
+        audit.record(session, caller, "export", "verdicts", now=now, detail=detail)
     content = verdicts.as_csv(rows) if form == "csv" else orjson.dumps({"items": rows})
     headers = {"Content-Disposition": f'attachment; filename="verdicts-{now:%Y%m%dT%H%M%SZ}.{form}"'}
     media_type = "text/csv; charset=utf-8" if form == "csv" else "application/json"
@@ -176,15 +174,15 @@ def put_hold(
             actor=caller.name,
             now=now,
         )
-        note_hold(session, request, caller, event, now=now)
+        note_hold(session, caller, event, now=now)
         return event_out(event, sight=sight_of(caller))
 
 
-def note_hold(session: Session, request: Request, caller: Caller, event: Event, *, now: dt.datetime) -> None:
+def note_hold(session: Session, caller: Caller, event: Event, *, now: dt.datetime) -> None:
     """Tell the audit log of a hold that was placed or ended."""
     action = "hold.ended" if event.held_at is None else "hold.placed"
     detail = {} if event.hold_reason is None else {"reason": event.hold_reason}
-    audit.record(session, caller, action, f"event {event.id}", now=now, address=address_of(request), detail=detail)
+    audit.record(session, caller, action, f"event {event.id}", now=now, detail=detail)
 
 
 @dataclass(frozen=True)

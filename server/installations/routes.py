@@ -5,10 +5,11 @@ from __future__ import annotations
 import datetime as dt
 from typing import Annotated
 
-from fastapi import APIRouter, Query, Request
+from fastapi import APIRouter, Query
 from sqlalchemy.orm import Session
 
-from server.accounts.access import Caller, Installer, Reader, note
+from server.accounts import audit
+from server.accounts.access import Caller, Installer, Reader
 from server.devices.queries import device_of
 from server.edge import DatabaseOf, Now, StoreOf
 from server.installations import level, queries, service
@@ -61,7 +62,7 @@ def read_level(device_id: str, caller: Reader, database: DatabaseOf, store: Stor
 
 @router.put("/installation")
 def set_manual(
-    request: Request, device_id: str, wanted: ManualMounting, caller: Installer, database: DatabaseOf, now: Now
+    device_id: str, wanted: ManualMounting, caller: Installer, database: DatabaseOf, now: Now
 ) -> InstallationOut:
     """Set a measured mounting; it holds until the box is seen to move."""
     with database.transaction() as session:
@@ -75,12 +76,10 @@ def set_manual(
             since=wanted.since or now,
             now=now,
         )
-        note_manual(session, request, caller, device_id, wanted.reason, now=now)
+        note_manual(session, caller, device_id, wanted.reason, now=now)
         return installation_out(device_id, row)
 
 
-def note_manual(
-    session: Session, request: Request, caller: Caller, device_id: str, reason: str, *, now: dt.datetime
-) -> None:
+def note_manual(session: Session, caller: Caller, device_id: str, reason: str, *, now: dt.datetime) -> None:
     """Tell the audit log who said how a box is mounted, and why."""
-    note(session, request, caller, "mounting.manual", f"device={device_id}", now=now, detail={"reason": reason})
+    audit.record(session, caller, "mounting.manual", f"device={device_id}", now=now, detail={"reason": reason})

@@ -34,6 +34,8 @@ class Batch(Base):
             sqlite_where=text("processed_at IS NULL AND stream = 'burst'"),
         ),
         Index("ix_batch_device_id_received_at", "device_id", "received_at"),
+        # "What lies around this time?" is asked with every upload, and must not read all that a box ever sent.
+        Index("ix_batch_clock", "device_id", "boot", "t_last_s", "t_first_s"),
         # Retention looks at what is still kept, and goes on with what it has not finished.
         Index(
             "ix_batch_kept",

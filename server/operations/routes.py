@@ -9,7 +9,7 @@ from typing import Annotated, cast
 from fastapi import APIRouter, Path, Query, Request
 
 from server.accounts import audit
-from server.accounts.access import Caller, JobManager, address_of
+from server.accounts.access import Caller, JobManager
 from server.database import Database
 from server.edge import DatabaseOf, Now, Wake, place_of
 from server.errors import NotFoundError
@@ -78,9 +78,7 @@ def replay(
         replayed = failures.forget(session, device_ids)
         if replayed:
             detail = {"devices": replayed[:100]}
-            audit.record(
-                session, caller, "jobs.replay", "dead letters", now=now, address=address_of(request), detail=detail
-            )
+            audit.record(session, caller, "jobs.replay", "dead letters", now=now, detail=detail)
     drop = cast("Callable[[set[str]], None] | None", getattr(state, "drop_letters", None))
     if drop is not None and replayed:
         drop(set(replayed))
@@ -90,13 +88,13 @@ def replay(
 
 
 @router.post("/reruns", status_code=201)
-def begin_rerun(request: Request, wanted: RerunIn, caller: JobManager, database: DatabaseOf, now: Now) -> ReportOut:
+def begin_rerun(wanted: RerunIn, caller: JobManager, database: DatabaseOf, now: Now) -> ReportOut:
     """Compute all severe events again by this version; the workers share them out when nothing else is due."""
     with database.transaction() as session:
         if wanted.device_id is not None and session.get(Device, wanted.device_id) is None:
             raise NotFoundError(f"There is no box {wanted.device_id!r}")
         run = rerun.begin(session, caller.organisation_id, device_id=wanted.device_id, by=caller.name, now=now)
-        audit.record(session, caller, "rerun.begin", run.id, now=now, address=address_of(request))
+        audit.record(session, caller, "rerun.begin", run.id, now=now)
         session.flush()
         return report_out(rerun.report(session, run.id))
 
@@ -130,9 +128,7 @@ def ask_for_mountings(
     boxes = remount.ask(database, now=now, organisation_id=caller.organisation_id, device_id=wanted.device_id)
     with database.transaction() as session:
         detail = {"boxes": len(boxes)}
-        audit.record(
-            session, caller, "rerun.mountings", "mountings", now=now, address=address_of(request), detail=detail
-        )
+        audit.record(session, caller, "rerun.mountings", "mountings", now=now, detail=detail)
     for device_id in boxes:
         cast("Wake", request.app.state.wake)(device_id)
     return _mountings(database, caller, wanted.device_id)
@@ -179,13 +175,13 @@ def read_rerun_events(
 
 
 @router.post("/reruns/{rerun_id}/cancel")
-def cancel_rerun(request: Request, rerun_id: RerunId, caller: JobManager, database: DatabaseOf, now: Now) -> ReportOut:
+def cancel_rerun(rerun_id: RerunId, caller: JobManager, database: DatabaseOf, now: Now) -> ReportOut:
     """Take no further events of a run; what is done stays done."""
     with database.transaction() as session:
         found = rerun.report(session, rerun_id)
         if found.status == "running":
             rerun.cancel(session, rerun_id, now=now)
-            audit.record(session, caller, "rerun.cancel", rerun_id, now=now, address=address_of(request))
+            audit.record(session, caller, "rerun.cancel", rerun_id, now=now)
             session.flush()
             session.expire_all()
         return report_out(rerun.report(session, rerun_id))

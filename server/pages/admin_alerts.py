@@ -168,7 +168,7 @@ def _set_rule(
         with database.transaction() as session:
             made = service.set_rule(session, caller.organisation_id, rule_id, wanted, now=now)
             row = queries.rule_of(session, caller.organisation_id, made)
-            note_rule(session, request, caller, "rule.changed" if rule_id else "rule.added", row, now=now)
+            note_rule(session, caller, "rule.changed" if rule_id else "rule.added", row, now=now)
     except ProblemError as error:
         return _rule(request, caller, database, rule_id, typed, problem=error)
     return back("/admin/alerts#rules")
@@ -215,11 +215,11 @@ def _decimal(text: str) -> float:
 
 
 @router.post("/rules/{rule_id}/delete")
-def remove_rule(request: Request, rule_id: str, caller: Administrator, database: DatabaseOf, now: Now) -> Response:
+def remove_rule(rule_id: str, caller: Administrator, database: DatabaseOf, now: Now) -> Response:
     """Look for it no more; its alerts stay."""
     with database.transaction() as session:
         row = queries.rule_of(session, caller.organisation_id, rule_id)
-        note_rule(session, request, caller, "rule.removed", row, now=now)
+        note_rule(session, caller, "rule.removed", row, now=now)
         service.remove_rule(session, caller.organisation_id, rule_id)
     return back("/admin/alerts#rules")
 
@@ -316,7 +316,7 @@ def add_channel(
         wanted = _channel_in(typed)
         with database.transaction() as session:
             made: ChannelMade = service.add_channel(session, caller.organisation_id, wanted, guard=guard, now=now)
-            note_channel(session, caller, "channel.added", made, request, now)
+            note_channel(session, caller, "channel.added", made, now)
     except ProblemError as error:
         return _channel(request, caller, database, None, typed, problem=error)
     if made.secret is None:
@@ -343,7 +343,7 @@ def change_channel(
         with database.transaction() as session:
             row = service.change_channel(session, caller.organisation_id, channel_id, wanted, guard=guard)
             told = ChannelOut.model_validate(row, from_attributes=True)
-            note_channel(session, caller, "channel.changed", told, request, now)
+            note_channel(session, caller, "channel.changed", told, now)
     except ProblemError as error:
         return _channel(request, caller, database, channel_id, typed, problem=error)
     return back("/admin/alerts#channels")
@@ -355,7 +355,7 @@ def new_secret(request: Request, channel_id: str, caller: Administrator, databas
     try:
         with database.transaction() as session:
             made = service.new_secret(session, caller.organisation_id, channel_id)
-            note_channel(session, caller, "channel.secret", made, request, now)
+            note_channel(session, caller, "channel.secret", made, now)
     except ProblemError as error:
         return _channel(request, caller, database, channel_id, None, problem=error)
     return _channel(request, caller, database, channel_id, None, secret=made.secret)
@@ -366,18 +366,16 @@ def try_channel(
     request: Request, channel_id: str, caller: Administrator, settings: SettingsOf, database: DatabaseOf, now: Now
 ) -> Response:
     """Send a test message and say what came of it."""
-    trial = tested(request, channel_id, caller, settings, database, now)
+    trial = tested(channel_id, caller, settings, database, now)
     return _channel(request, caller, database, channel_id, None, trial=trial)
 
 
 @router.post("/channels/{channel_id}/delete")
-def remove_channel(
-    request: Request, channel_id: str, caller: Administrator, database: DatabaseOf, now: Now
-) -> Response:
+def remove_channel(channel_id: str, caller: Administrator, database: DatabaseOf, now: Now) -> Response:
     """Tell nobody there any more."""
     with database.transaction() as session:
         row = queries.channel_of(session, caller.organisation_id, channel_id)
         told = ChannelOut.model_validate(row, from_attributes=True)
         service.remove_channel(session, caller.organisation_id, channel_id)
-        note_channel(session, caller, "channel.removed", told, request, now)
+        note_channel(session, caller, "channel.removed", told, now)
     return back("/admin/alerts#channels")

@@ -12,7 +12,8 @@ from sqlalchemy import ColumnElement, func, or_, select
 from sqlalchemy.orm import Session
 from starlette.responses import HTMLResponse, Response
 
-from server.accounts.access import Administrator, Caller, Installer, note
+from server.accounts import audit
+from server.accounts.access import Administrator, Caller, Installer
 from server.database import Database
 from server.devices import provisioning, service
 from server.devices.queries import device_of
@@ -153,7 +154,7 @@ def add(
         wanted = checked(DeviceIn, name=name, vehicle_id=vehicle_id or None)
         with database.transaction() as session:
             made, _ = service.register(session, caller.organisation_id, wanted, idempotency_key=None, now=now)
-            note(session, request, caller, "box.added", f"device={made.id}", now=now, detail={"name": wanted.name})
+            audit.record(session, caller, "box.added", f"device={made.id}", now=now, detail={"name": wanted.name})
             by_token = by == "token"
             secret = _token_shown(made.token) if by_token else _new_code(session, request, caller, made.id, now)
     except ProblemError as error:
@@ -169,7 +170,7 @@ def _token_shown(token: str | None) -> dict[str, Any]:
 
 def _new_code(session: Session, request: Request, caller: Caller, device_id: str, now: dt.datetime) -> dict[str, Any]:
     made = provisioning.new_claim_code(session, caller.organisation_id, device_id, now=now)
-    note(session, request, caller, "box.claim-code", f"device={device_id}", now=now)
+    audit.record(session, caller, "box.claim-code", f"device={device_id}", now=now)
     hint = marked("The box trades it for its token, once. Earlier codes of this box are void.")
     # The address of the assistant: any phone's camera opens it, and the assistant's own reads it too.
     code = qr_code(f"{request.base_url}install?code={made.code}")
@@ -241,18 +242,18 @@ def rotate(
     try:
         with database.transaction() as session:
             made = service.rotate_token(session, caller.organisation_id, device_id, now=now)
-            note(session, request, caller, "box.token", f"device={device_id}", now=now)
+            audit.record(session, caller, "box.token", f"device={device_id}", now=now)
     except ProblemError as error:
         return _box(request, caller, settings, database, now, device_id, problem=error)
     return _box(request, caller, settings, database, now, device_id, secret=_token_shown(made.token))
 
 
 @router.post("/{device_id}/revoke")
-def revoke(request: Request, device_id: str, caller: Administrator, database: DatabaseOf, now: Now) -> Response:
+def revoke(device_id: str, caller: Administrator, database: DatabaseOf, now: Now) -> Response:
     """Refuse a box from now on."""
     with database.transaction() as session:
         service.revoke(session, caller.organisation_id, device_id, now=now)
-        note(session, request, caller, "box.revoked", f"device={device_id}", now=now)
+        audit.record(session, caller, "box.revoked", f"device={device_id}", now=now)
     return back(f"/admin/boxes/{device_id}")
 
 
@@ -271,7 +272,7 @@ def put_into_vehicle(
         with database.transaction() as session:
             service.put_into_vehicle(session, caller.organisation_id, device_id, vehicle_id or None, at=None, now=now)
             detail = {"vehicle": vehicle_id or None}
-            note(session, request, caller, "box.vehicle", f"device={device_id}", now=now, detail=detail)
+            audit.record(session, caller, "box.vehicle", f"device={device_id}", now=now, detail=detail)
     except ProblemError as error:
         return _box(request, caller, settings, database, now, device_id, problem=error)
     return back(f"/admin/boxes/{device_id}")
@@ -300,7 +301,7 @@ def set_settings(
         with database.transaction() as session:
             provisioning.set_settings(session, caller.organisation_id, device_id, wanted, now=now)
             told = wanted.model_dump(exclude={"configuration"})
-            note(session, request, caller, "box.settings", f"device={device_id}", now=now, detail=told)
+            audit.record(session, caller, "box.settings", f"device={device_id}", now=now, detail=told)
     except ProblemError as error:
         typed = {"megabytes": megabytes, "configuration": configuration}
         return _box(request, caller, settings, database, now, device_id, problem=error, typed=typed)

@@ -12,7 +12,8 @@ from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 from starlette.responses import HTMLResponse, Response
 
-from server.accounts.access import JobManager, note
+from server.accounts import audit
+from server.accounts.access import JobManager
 from server.edge import DatabaseOf, Now
 from server.errors import NotFoundError
 from server.ingest.queries import backlog
@@ -171,7 +172,7 @@ def begin(
         if device_id and session.get(Device, device_id) is None:
             raise NotFoundError(f"There is no box {device_id!r}")
         run = rerun.begin(session, caller.organisation_id, device_id=device_id or None, by=caller.name, now=now)
-        note(session, request, caller, "rerun.begin", run.id, now=now)
+        audit.record(session, caller, "rerun.begin", run.id, now=now)
         run_id = run.id
     return back(f"/admin/versions/{run_id}")
 
@@ -242,7 +243,7 @@ def run_page(
 
 
 @router.post("/versions/{rerun_id}/cancel")
-def cancel(request: Request, rerun_id: str, caller: JobManager, database: DatabaseOf, now: Now) -> Response:
+def cancel(rerun_id: str, caller: JobManager, database: DatabaseOf, now: Now) -> Response:
     """Take no further events of a run."""
     with database.transaction() as session:
         run = session.get(Rerun, rerun_id)
@@ -250,5 +251,5 @@ def cancel(request: Request, rerun_id: str, caller: JobManager, database: Databa
             raise NotFoundError(f"There is no re-run {rerun_id!r}")
         if run.finished_at is None and run.cancelled_at is None:
             rerun.cancel(session, rerun_id, now=now)
-            note(session, request, caller, "rerun.cancel", rerun_id, now=now)
+            audit.record(session, caller, "rerun.cancel", rerun_id, now=now)
     return back(f"/admin/versions/{rerun_id}")

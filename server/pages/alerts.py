@@ -82,7 +82,6 @@ def replay(delivery_id: str, caller: Administrator, database: DatabaseOf, now: N
 
 @router.post("/vehicles/{vehicle_id}/theft")
 def theft(
-    request: Request,
     vehicle_id: str,
     caller: Administrator,
     database: DatabaseOf,
@@ -91,5 +90,5 @@ def theft(
 ) -> Response:
     """The vehicle page's theft mode."""
     with database.transaction() as session:
-        arm(session, request, caller, vehicle_id, armed=armed, now=now)
+        arm(session, caller, vehicle_id, armed=armed, now=now)
     return RedirectResponse(f"/vehicles/{vehicle_id}", 303)

@@ -10,7 +10,7 @@ from starlette.responses import HTMLResponse, RedirectResponse, Response
 
 from nav_core.by_hand import largest_tilt
 from server.accounts import audit
-from server.accounts.access import Caller, Installer, address_of
+from server.accounts.access import Caller, Installer
 from server.database import Database
 from server.devices.service import put_into_vehicle
 from server.edge import DatabaseOf, Now, StoreOf
@@ -66,7 +66,6 @@ def box(request: Request, device_id: str, caller: Installer, database: DatabaseO
 
 @router.post("/{device_id}/vehicle")
 def choose_vehicle(
-    request: Request,
     device_id: str,
     caller: Installer,
     database: DatabaseOf,
@@ -82,7 +81,6 @@ def choose_vehicle(
             ACTION,
             subject(device_id),
             now=now,
-            address=address_of(request),
             detail={"vehicle_id": vehicle_id},
         )
     return RedirectResponse(f"/install/{device_id}", 303)
@@ -138,9 +136,7 @@ def confirm_level(
                 now=now,
             )
             detail = {"by": "level", "orientation": sits}
-            audit.record(
-                session, caller, ACTION, subject(device_id), now=now, address=address_of(request), detail=detail
-            )
+            audit.record(session, caller, ACTION, subject(device_id), now=now, detail=detail)
     except (ConflictError, InvalidError) as error:
         return _level_page(request, caller, database, store, device_id, now=now, problem=error)
     return RedirectResponse(f"/devices/{device_id}/certificate", 303)

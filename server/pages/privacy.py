@@ -11,7 +11,7 @@ from sqlalchemy.orm import Session
 from starlette.responses import HTMLResponse, RedirectResponse, Response
 
 from server.accounts import audit, users
-from server.accounts.access import Caller, PrivacyManager, address_of
+from server.accounts.access import Caller, PrivacyManager
 from server.database import Database
 from server.edge import DatabaseOf, Now
 from server.errors import ForbiddenError, InvalidError, ProblemError
@@ -132,7 +132,7 @@ def set_rules(request: Request, caller: PrivacyManager, database: DatabaseOf, no
             wanted = {name: days for name, days in wanted.items() if days != before[name]}
             changed = policy.set_rules(session, caller.organisation_id, wanted, actor=caller.name, now=now)
             told = {"days": changed}
-            audit.record(session, caller, "retention.set", "rules", now=now, address=address_of(request), detail=told)
+            audit.record(session, caller, "retention.set", "rules", now=now, detail=told)
     except ProblemError as error:
         return _page(request, caller, database, now, problem=error)
     return RedirectResponse("/privacy?said=rules", 303)

@@ -107,7 +107,7 @@ def set_mounting(
                 since=now,
                 now=now,
             )
-            note_manual(session, request, caller, device_id, wanted.reason, now=now)
+            note_manual(session, caller, device_id, wanted.reason, now=now)
     except (ValueError, InvalidError) as error:
         detail = error.detail if isinstance(error, InvalidError) else NOT_A_MOUNTING
         with database.reading() as session:
@@ -168,7 +168,6 @@ def review(
 
 @router.post("/events/{event_id}/hold")
 def hold(
-    request: Request,
     event_id: str,
     caller: Reviewer,
     database: DatabaseOf,
@@ -181,7 +180,7 @@ def hold(
         event = events.hold(
             session, caller.organisation_id, event_id, held=held, reason=reason, actor=caller.name, now=now
         )
-        note_hold(session, request, caller, event, now=now)
+        note_hold(session, caller, event, now=now)
     return RedirectResponse(f"/events/{event_id}", 303)
 
 

@@ -18,7 +18,6 @@ from server.accounts.access import (
     PrivacyManager,
     RawReader,
     UserManager,
-    address_of,
 )
 from server.accounts.users import user_of
 from server.edge import DatabaseOf, Moment, Now, SettingsOf, StoreOf
@@ -56,15 +55,13 @@ def read_rules(caller: PrivacyManager, database: DatabaseOf, now: Now) -> list[R
 
 
 @router.put("/retention")
-def set_rules(
-    request: Request, wanted: RulesIn, caller: PrivacyManager, database: DatabaseOf, now: Now
-) -> list[RuleOut]:
+def set_rules(wanted: RulesIn, caller: PrivacyManager, database: DatabaseOf, now: Now) -> list[RuleOut]:
     """Choose how long data are kept; it applies from now on."""
     days: dict[str, int | None] = {**wanted.days}
     with database.transaction() as session:
         changed = policy.set_rules(session, caller.organisation_id, days, actor=caller.name, now=now)
         detail = {"days": changed}
-        audit.record(session, caller, "retention.set", "rules", now=now, address=address_of(request), detail=detail)
+        audit.record(session, caller, "retention.set", "rules", now=now, detail=detail)
         return [rule_out(row) for row in policy.rules(session, caller.organisation_id, now=now)]
 
 
@@ -167,18 +164,18 @@ def export_vehicle(
         subject = subjects.vehicle_subject(session, caller.organisation_id, vehicle_id, since, until)
         told = {"query": request.url.query[:500]} if request.url.query else {}
         of = f"vehicle {vehicle_id}"
-        audit.record(session, caller, "privacy.export", of, now=now, address=address_of(request), detail=told)
+        audit.record(session, caller, "privacy.export", of, now=now, detail=told)
     return _download(export.vehicle_archive(database, store, subject), "vehicle", vehicle_id)
 
 
 @router.get("/users/{user_id}/export", response_class=StreamingResponse, responses=ZIP)
 def export_user(
-    request: Request, user_id: Id, caller: PrivacyExporter, _people: UserManager, database: DatabaseOf, now: Now
+    user_id: Id, caller: PrivacyExporter, _people: UserManager, database: DatabaseOf, now: Now
 ) -> StreamingResponse:
     """Everything that is held about a person who signs in: account, sessions, keys, what they did and saw."""
     with database.transaction() as session:
         user = user_of(session, caller, user_id)
-        audit.record(session, caller, "privacy.export", f"user {user.id}", now=now, address=address_of(request))
+        audit.record(session, caller, "privacy.export", f"user {user.id}", now=now)
     return _download(export.user_archive(database, caller.organisation_id, user_id), "user", user_id)
 
 

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from fastapi import APIRouter, Query, Request
+from fastapi import APIRouter, Query
 from starlette.responses import Response
 
-from server.accounts.access import Administrator, Reader, note
+from server.accounts import audit
+from server.accounts.access import Administrator, Reader
 from server.edge import DatabaseOf, Now
 from server.problems import described
 from server.vehicles import queries, service
@@ -17,12 +18,12 @@ router = APIRouter(prefix="/api/v1/vehicles", tags=["vehicles"])
 
 
 @router.post("", status_code=201)
-def create(request: Request, wanted: VehicleIn, caller: Administrator, database: DatabaseOf, now: Now) -> VehicleOut:
+def create(wanted: VehicleIn, caller: Administrator, database: DatabaseOf, now: Now) -> VehicleOut:
     """Add a vehicle."""
     with database.transaction() as session:
         vehicle = service.create(session, caller.organisation_id, wanted, now=now)
         detail = wanted.model_dump(mode="json")
-        note(session, request, caller, "vehicle.added", f"vehicle={vehicle.id}", now=now, detail=detail)
+        audit.record(session, caller, "vehicle.added", f"vehicle={vehicle.id}", now=now, detail=detail)
         return queries.vehicle(session, caller.organisation_id, vehicle.id)
 
 
@@ -46,21 +47,19 @@ def read(vehicle_id: str, caller: Reader, database: DatabaseOf) -> VehicleOut:
 
 
 @router.patch("/{vehicle_id}")
-def change(
-    request: Request, vehicle_id: str, wanted: VehicleChange, caller: Administrator, database: DatabaseOf, now: Now
-) -> VehicleOut:
+def change(vehicle_id: str, wanted: VehicleChange, caller: Administrator, database: DatabaseOf, now: Now) -> VehicleOut:
     """Change what is named."""
     with database.transaction() as session:
         service.change(session, caller.organisation_id, vehicle_id, wanted, now=now)
         detail = wanted.model_dump(mode="json", exclude_unset=True)
-        note(session, request, caller, "vehicle.changed", f"vehicle={vehicle_id}", now=now, detail=detail)
+        audit.record(session, caller, "vehicle.changed", f"vehicle={vehicle_id}", now=now, detail=detail)
         return queries.vehicle(session, caller.organisation_id, vehicle_id)
 
 
 @router.delete("/{vehicle_id}", status_code=204, responses=described(409))
-def remove(request: Request, vehicle_id: str, caller: Administrator, database: DatabaseOf, now: Now) -> Response:
+def remove(vehicle_id: str, caller: Administrator, database: DatabaseOf, now: Now) -> Response:
     """Delete a vehicle that never had a box."""
     with database.transaction() as session:
         service.remove(session, caller.organisation_id, vehicle_id, now=now)
-        note(session, request, caller, "vehicle.removed", f"vehicle={vehicle_id}", now=now)
+        audit.record(session, caller, "vehicle.removed", f"vehicle={vehicle_id}", now=now)
     return Response(status_code=204)

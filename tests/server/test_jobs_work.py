@@ -5,6 +5,7 @@ import threading
 
 import numpy as np
 import pytest
+import sqlalchemy as sa
 from fleet_world import Leg, World, cut, drive_of
 from sqlalchemy import select
 
@@ -564,6 +565,22 @@ def test_of_many_batches_at_one_time_the_newest_are_read(world, monkeypatch):
     assert around() == [4, 5]
     monkeypatch.setattr(event_queries, "AROUND_ROWS", 1)
     assert around() == [5]
+
+
+def test_what_every_round_reads_grows_with_no_boxs_past(database):
+    """SQLite chooses its indexes without figures of the tables, so an empty one tells."""
+    asked: list[tuple[str, object]] = []
+    with database.reading() as session:
+        sa.event.listen(session.connection(), "before_cursor_execute", lambda *told: asked.append(told[2:4]))
+        event_queries.batches_between(session, "box", "boot", 0.0, 1.0)
+        reads.pieces_of_boot(session, "box", "boot", after_s=0.0, before_s=1.0, newest_s=1.0)
+        around, newest = (
+            [row.detail for row in session.connection().exec_driver_sql(f"EXPLAIN QUERY PLAN {statement}", values)]
+            for statement, values in tuple(asked)
+        )
+    assert "ix_batch_clock (device_id=? AND boot=? AND t_last_s>?)" in around[0]
+    assert "(device_id=? AND stream=? AND boot=?)" in newest[0]
+    assert not any("ORDER BY" in step for step in newest)
 
 
 def test_an_estimate_reads_no_more_than_its_window(world):

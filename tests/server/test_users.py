@@ -156,6 +156,26 @@ def test_who_signs_in_and_changes_people_is_on_record_with_the_address(admin, ad
     }
 
 
+@pytest.mark.usefixtures("ada")
+def test_what_is_done_and_seen_is_on_record_with_the_address(admin, client, make_device):
+    assert try_to_sign_in(client, password="wrong").status_code == 401
+    assert try_to_sign_in(client).status_code == 201
+    device_id, _ = make_device()
+    for answer in (
+        admin.post(f"/api/v1/devices/{device_id}/claim-code"),
+        admin.post("/api/v1/vehicles", json={"name": "Van 1"}),
+        admin.put("/api/v1/retention", json={"days": {"raw": 400}}),
+        admin.get("/api/v1/events/verdicts"),
+        admin.get("/api/v1/export/tracks"),
+        admin.get("/"),
+    ):
+        assert answer.is_success, answer.text
+    entries = admin.get("/api/v1/audit").json()["items"]
+    done = "sign_in.failed", "sign_in", "box.added", "box.claim-code", "vehicle.added", "retention.set", "export"
+    assert {each["action"] for each in entries} >= {*done, "location.read"}
+    assert {each["address"] for each in entries} == {"127.0.0.1"}
+
+
 def test_a_disabled_user_is_out_at_once(ada, admin, address, client):
     made = admin.post("/api/v1/users", json={"email": "bob@fleet.test", "name": "Bob", "role": "reader"}).json()
     bob = signed_in(address, code=made["code"])
