@@ -22,6 +22,9 @@ from nav_core.mounting.refine import BLOCK, Fit, likely_bias
 from nav_core.rotation import error_between
 from nav_core.typing import Floats
 
+DOUBTFUL = 16.3
+"""Disagreement that one in a thousand trips of an untouched box reaches (three degrees of freedom)."""
+
 
 @dataclass(frozen=True, slots=True)
 class TripEvidence:
@@ -37,7 +40,7 @@ class TripEvidence:
         Products of the whitened innovations and their derivatives, without any prior, less what the
         trip's own doubts (innovations, disagreement of its stretches) take from them.
     duration : float
-        Of the stretches behind it, s.
+        Of the stretches behind it, s; pauses between the trips of one fit included.
     trips : int
         How many were joined; what is of one fit counts as one.
     handed : float

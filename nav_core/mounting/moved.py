@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from nav_core.mounting.fusion import disagreement, trip_evidence
+from nav_core.mounting.fusion import DOUBTFUL, disagreement, trip_evidence
 from nav_core.mounting.model import MILLI_G, TURN, Noise
 from nav_core.mounting.quality import excitation, fits_a_car
 from nav_core.mounting.refine import BLOCK, HUBER, Fit, view_of, weigh
@@ -203,10 +203,12 @@ def _still(record: Record, noise: Noise, depth: int) -> list[Solution]:
 
 
 def _rejoined(record: Record, first: list[Solution], second: list[Solution], noise: Noise) -> list[Solution]:
-    """The pieces of two sides that were cut again, as one where they meet if that cut stood in the wrong place."""
+    """The pieces of two sides that were cut again; those that meet are one where they agree: the cut was misplaced."""
     sides = first[-1].record, second[0].record
     wary = _wary(noise)
-    if _differ(sides, solve(sides[0], wary), solve(sides[1], wary), wary):
+    before, after = (trip_evidence(solve(side, wary).fit) for side in sides)
+    chi2, _ = disagreement(before, after, wary)
+    if chi2 > DOUBTFUL:
         return first + second
     whole = between(record, sides[0].fixes.t[0], sides[1].fixes.t[-1])
     return [*first[:-1], solve(whole, noise), *second[1:]]

@@ -38,6 +38,7 @@ from nav_core.mounting.stretch import Record
 from nav_core.mounting.trouble import wrong_unit
 from nav_core.records import Gnss, Reason
 from nav_core.signal import Ticks, merge
+from nav_core.timebase import stale
 from nav_core.typing import Floats
 
 LISTEN = 8.0
@@ -209,7 +210,8 @@ def _prepared(state: OnlineState, chunk: Chunk) -> _Work:
         last = float(record.fixes.t[-1])
         felt = float(record.t[-1]) - 0.3 + HORIZON
         heard = min(last, felt) if felt > last - 5.0 else last
-    chords, repeats = followed_on(state.chords, gnss), repeats_on(state.repeats, gnss)
+    repeated = stale(gnss)
+    chords, repeats = followed_on(state.chords, gnss, repeated), repeats_on(state.repeats, gnss, repeated)
     state = replace(state, ticks=ticks, spin=spin, gnss=gnss, chords=chords, repeats=repeats)
     return _Work(state, record, spins, heard, np.empty((0, N_COLUMNS)))
 

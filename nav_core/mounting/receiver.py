@@ -10,7 +10,7 @@ from nav_core.mounting.reasons import reason
 from nav_core.records import Gnss, Reason
 from nav_core.rotation import wrap
 from nav_core.timebase import stale
-from nav_core.typing import Floats
+from nav_core.typing import Flags, Floats
 
 SLOW_FIXES = 1.3
 """Hz; up to here named as slow."""
@@ -48,12 +48,12 @@ class Repeats(NamedTuple):
     since: float = -np.inf
     """Box time of the latest fix that carried news, s."""
     until: float = -np.inf
-    """Of the latest that did not carry any, or of the same, s."""
+    """Of the latest fix, s."""
     lost: float = 0.0
-    """By repeats of at least `FROZEN` before that, s."""
+    """By repeats of at least `FROZEN` before `since`, s."""
 
 
-def repeats_on(before: Repeats, gnss: Gnss) -> Repeats:
+def repeats_on(before: Repeats, gnss: Gnss, repeated: Flags | None = None) -> Repeats:
     """The same after more of the stream.
 
     Parameters
@@ -62,19 +62,21 @@ def repeats_on(before: Repeats, gnss: Gnss) -> Repeats:
         Of the fixes so far.
     gnss : Gnss
         Fixes that begin before the end of those, or later, and go on.
+    repeated : ndarray of bool, shape (n,), optional
+        Which of them are `stale`, where that is known already.
 
     Returns
     -------
     Repeats
     """
-    since, until, lost = before
-    new = gnss.t > until
-    for t, repeated in zip(gnss.t[new].tolist(), stale(gnss)[new].tolist(), strict=True):
-        if not repeated:
-            lost += _lost(since, until)
-            since = t
-        until = t
-    return Repeats(since, until, lost)
+    new = gnss.t > before.until
+    t = gnss.t[new]
+    news = np.flatnonzero(~(stale(gnss) if repeated is None else repeated)[new])
+    if not news.size:
+        return before._replace(until=float(t[-1])) if t.size else before
+    lost = before.lost + _lost(before.since, float(t[news[0] - 1]) if news[0] else before.until)
+    runs = t[news[1:] - 1] - t[news[:-1]]
+    return Repeats(float(t[news[-1]]), float(t[-1]), lost + float(runs[runs >= FROZEN].sum()))
 
 
 def frozen(told: Repeats) -> Reason | None:
@@ -180,7 +182,7 @@ class Chords(NamedTuple):
 NO_CHORDS = Chords(*np.empty((5, 0)))
 
 
-def chords(gnss: Gnss, after: float = -np.inf) -> Chords:
+def chords(gnss: Gnss, after: float = -np.inf, repeated: Flags | None = None) -> Chords:
     """What the fixes say of each piece of box time that they cover.
 
     Parameters
@@ -188,13 +190,16 @@ def chords(gnss: Gnss, after: float = -np.inf) -> Chords:
     gnss : Gnss
     after : float
         Box time; only pieces that end later, s.
+    repeated : ndarray of bool, shape (n,), optional
+        Which fixes are `stale`, where that is known already.
 
     Returns
     -------
     Chords
         In order of time.  The way is that of an arc through three positions.
     """
-    good = gnss.fix & np.isfinite(gnss.lat) & np.isfinite(gnss.lon) & np.isfinite(gnss.speed) & ~stale(gnss)
+    good = gnss.fix & np.isfinite(gnss.lat) & np.isfinite(gnss.lon) & np.isfinite(gnss.speed)
+    good &= ~(stale(gnss) if repeated is None else repeated)
     t, speed = gnss.t[good], gnss.speed[good]
     starts = np.flatnonzero(np.diff(np.floor(t / CHORD), prepend=-np.inf) > 0.0)
     first, last = starts[:-1], starts[1:]
@@ -217,7 +222,7 @@ def chords(gnss: Gnss, after: float = -np.inf) -> Chords:
     )
 
 
-def followed_on(before: Chords, gnss: Gnss) -> Chords:
+def followed_on(before: Chords, gnss: Gnss, repeated: Flags | None = None) -> Chords:
     """The latest `REMEMBERED` chords after more of the stream.
 
     Parameters
@@ -226,13 +231,15 @@ def followed_on(before: Chords, gnss: Gnss) -> Chords:
         Of the fixes so far.
     gnss : Gnss
         Fixes that begin before the end of the last of them, or later, and go on.
+    repeated : ndarray of bool, shape (n,), optional
+        Which of them are `stale`, where that is known already.
 
     Returns
     -------
     Chords
         `before` itself where there is no new one.
     """
-    new = chords(gnss, float(before.t[-1]) if before.t.size else -np.inf)
+    new = chords(gnss, float(before.t[-1]) if before.t.size else -np.inf, repeated)
     if not new.t.size:
         return before
     return Chords(*(np.concatenate(pair)[-REMEMBERED:] for pair in zip(before, new, strict=True)))

@@ -123,9 +123,9 @@ class Fit:
         return solution, covariance
 
     def trips(self) -> list[slice]:
-        """The stretches of each trip, in order of time."""
+        """The stretches of each trip, in order of time; a pause is told to a stretch, the shortest parts trips too."""
         told = np.flatnonzero(self.count.any(axis=1))
-        ends = np.flatnonzero(np.diff(told) > PAUSE / BLOCK)
+        ends = np.flatnonzero(np.diff(told) >= PAUSE / BLOCK)
         begins = [0, *(told[ends + 1]).tolist()]
         return [slice(begin, end) for begin, end in pairwise([*begins, self.gram.shape[0]])]
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from nav_core.mounting.confidence import CONVERGED, observability
-from nav_core.mounting.fusion import TripEvidence, disagreement, joined, solved, trip_evidence, weakened
+from nav_core.mounting.fusion import DOUBTFUL, TripEvidence, disagreement, joined, solved, trip_evidence, weakened
 from nav_core.mounting.model import Noise, less_crown
 from nav_core.mounting.moved import LEAST_ANGLE, SURE
 from nav_core.mounting.reasons import reason
@@ -17,10 +17,6 @@ from nav_core.mounting.whole_drive import analyse, refused
 from nav_core.records import Gnss, MountingChange, MountingEstimate
 from nav_core.signal import Ticks
 from nav_core.typing import Floats
-
-DOUBTFUL = 16.3
-"""Disagreement that one in a thousand trips of an untouched box reaches (three degrees of freedom)."""
-
 
 UNREMARKABLE = 6.25
 """Nine in ten trips of an untouched box stay under this; what is beyond widens the covariance."""
@@ -80,7 +76,7 @@ def told_of(ticks: Ticks, gnss: Gnss, past: TripEvidence | None, noise: Noise) -
     chi2, apart = disagreement(past, own, noise)
     angle = float(np.linalg.norm(apart))
     if chi2 > SURE and angle > LEAST_ANGLE and estimate.status == "ready":
-        change = MountingChange(fit.begin, angle, solved(past, noise)[0], fit.R_va)
+        change = MountingChange(fit.begin, angle, solved(past, noise)[0], solved(own, noise)[0])
         return Told(replace(estimate, changes=(change,)), own, 0.0)
     unlikely = max(1.0 - UNREMARKABLE / max(chi2, 1e-9), 0.0)
     share = FADED if chi2 > DOUBTFUL else 1.0

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from nav_core.mounting.blows import Blow, blows, cut_out
-from nav_core.mounting.confidence import Confidence, assess
+from nav_core.mounting.confidence import CONVERGED, Confidence, assess, observability
 from nav_core.mounting.fixes import usable_fixes
 from nav_core.mounting.fusion import solved, trip_evidence
 from nav_core.mounting.model import COURSE_LAG, SPEED_LAG, Noise, less_crown
@@ -198,7 +198,13 @@ def _known(fit: Fit, noise: Noise) -> tuple[Floats, Confidence]:
         return fit.R_va, found
     R_va, covariance = solved(trip_evidence(fit, found=found), noise)
     covariance[[0, 1, 2], [0, 1, 2]] += [noise.crown**2, 0.0, 0.0] + (0.5 * found.slip) ** 2
-    return R_va, replace(found, covariance=covariance)
+    sure = bool((np.sqrt(np.diag(covariance)) < CONVERGED).all())
+    return R_va, replace(
+        found,
+        covariance=covariance,
+        observability=observability(covariance),
+        converged_after=found.converged_after if sure else None,
+    )
 
 
 def _changes(pieces: list[Piece], spoiled: tuple[Blow, ...], noise: Noise) -> tuple[MountingChange, ...]:

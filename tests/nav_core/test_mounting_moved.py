@@ -6,9 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from nav_core.mounting import estimate_mounting
+from nav_core.mounting.fixes import usable_fixes
+from nav_core.mounting.model import Noise
+from nav_core.mounting.moved import _rejoined
+from nav_core.mounting.solution import between, solve
+from nav_core.mounting.stretch import prepare
 from nav_core.rotation import angle_between
+from nav_core.signal import decimate
 from nav_core.simulate import Move, Scenario, simulate
 from nav_core.simulate.days import DECIMATED, Warmth, before_start, day
 
@@ -132,6 +139,32 @@ def test_two_moves():
     assert [change.t for change in found.changes] == pytest.approx([150.0, 330.0], abs=15.0)
     assert found.R_va is not None
     assert np.degrees(angle_between(found.R_va, truth.R_va)) < 4.0
+
+
+@pytest.mark.parametrize(("seed", "gap"), [(11, 45.0), (15, 30.0), (16, 45.0), (17, 30.0)])
+def test_two_moves_within_a_minute_stay_two(seed: int, gap: float):
+    """Between them there is too little to tell a heading by, and no reason to take it for either neighbour."""
+    base = Scenario(duration=420.0, accel_rate=50.0)
+    _, still = simulate(base, seed=seed)
+    tilt = np.radians(7.0) * still.R_va[0]
+    yaw = np.radians(35.0) * (still.R_va @ Rotation.from_rotvec(tilt).as_matrix())[2]
+    moves = (Move(t=200.0, turn=tuple(tilt)), Move(t=200.0 + gap, turn=tuple(yaw)))
+    drive, truth = simulate(replace(base, moves=moves), seed=seed)
+    found = estimate_mounting(drive)
+    assert found.status == "ready"
+    assert len(found.changes) == 2
+    assert np.degrees(angle_between(found.R_va, truth.R_va)) < 4.0
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.3])
+def test_a_cut_in_the_wrong_place_is_mended(turn: float):
+    """Where the pieces on either side of it agree."""
+    move = Move(t=150.0, turn=(0.0, turn, 0.0))
+    drive, _ = simulate(Scenario(duration=300.0, accel_rate=50.0, moves=(move,) if turn else ()), seed=8)
+    record = prepare(decimate(drive.inertial), usable_fixes(drive.gnss))
+    sides = [between(record, 0.0, 150.0), between(record, 150.1, 300.0)]
+    pieces = _rejoined(record, *([solve(side, Noise())] for side in sides), Noise())
+    assert [piece.record.fixes.t[-1] > 299.0 for piece in pieces] == ([False, True] if turn else [True])
 
 
 def test_a_box_that_keeps_turning_is_not_fixed():

@@ -224,6 +224,24 @@ def test_a_frozen_receiver_is_named_online_while_it_is(gnss_rate: float, *, date
     assert _error_deg(found, truth.R_va) < 4.0
 
 
+def test_a_time_that_stands_still_accuses_no_parked_receiver():
+    """A minute in the parking place, then off; the receiver's date was never set."""
+    drive, _ = _drive(duration=180.0, seed=20, gnss_rate=1.0)
+    gnss = drive.gnss
+    t = np.concatenate([gnss.t[0] + np.arange(60.0), gnss.t + 60.0])
+    parked = {
+        name: np.concatenate([np.full(60, getattr(gnss, name)[0]), getattr(gnss, name)])
+        for name in ("lat", "lon", "alt", "course", "fix")
+    }
+    speed = np.concatenate([np.zeros(60), gnss.speed])
+    made = Gnss(t=t, speed=speed, utc=np.full(t.size, 1.6e9), **parked)
+    told = Repeats()
+    for second in range(4, t.size):
+        told = repeats_on(told, fixes_where(made, (t >= t[max(second - 8, 0)]) & (t <= t[second])))
+    assert frozen(told) is None
+    assert frozen(repeats_on(Repeats(), made)) is None
+
+
 def _seconds(told: Reason) -> float:
     number = re.search(r"(\d+) s;", told.text)
     assert number is not None
