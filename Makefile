@@ -18,7 +18,7 @@ run: setup  ## The service and a simulated fleet, on this machine; Ctrl-C stops 
 
 test: setup  ## All tests; what needs a browser, PostgreSQL or RabbitMQ is skipped where it is missing
 	@scripts/browser.sh
-	$(BIN)/python -m pytest -n $(PYTEST_WORKERS) --dist loadfile --no-loadscope-reorder
+	$(BIN)/python -m pytest -n $(PYTEST_WORKERS) --dist loadfile
 
 test-faults: setup  ## Try to break it: decoders fuzzed for twice ten minutes each, 200 random kills in each mode, the whole API (hours)
 	SCATOLA_FUZZ_SECONDS=$${SCATOLA_FUZZ_SECONDS:-600} SCATOLA_KILLS=$${SCATOLA_KILLS:-200} \
