@@ -138,7 +138,7 @@ def pieces_of_boot(
             select(Batch.sequence, Batch.t_first_s, Batch.t_last_s, Batch.column_sha256, BatchDigest.content)
             .join(BatchDigest, BatchDigest.batch_id == Batch.id)
             .where(Batch.device_id == device_id, Batch.stream == "continuous", Batch.boot == boot)
-            # By the sequence: `+ 0.0` keeps SQLite off the clock's index, by which it would sort a long boot for a page.
+            # `+ 0.0` keeps SQLite off the index of the clock, by which it would sort all of a long boot for a page.
             .where(Batch.t_last_s + 0.0 > after_s, Batch.t_first_s < before_s)
             .order_by(Batch.sequence.desc())
             .limit(CHUNK)
