@@ -138,8 +138,7 @@ def stale(gnss: Gnss) -> Flags:
     ndarray of bool, shape (n,)
         True where the receiver's own time did not advance, or, where it is unknown or mostly stands
         still while the rest changes, where nothing at all changed although the vehicle moves.  A
-        parked vehicle may well repeat itself: where nothing new comes of a moving one, no time can
-        show whether it is one, and only a moving vehicle's repeats count.
+        parked vehicle may well repeat itself.
     """
     repeat = np.zeros(gnss.t.size, dtype=np.bool_)
     if gnss.t.size < 2:
@@ -153,8 +152,6 @@ def stale(gnss: Gnss) -> Flags:
         fresh = dated & ~same & (gnss.speed[1:] > 0.5)
         if np.count_nonzero(np.diff(gnss.utc)[fresh] <= 0.0) > 0.5 * np.count_nonzero(fresh):
             dated[:] = False  # whole seconds at several fixes a second, or a time that is not known yet
-        elif not fresh.any():
-            dated &= gnss.speed[1:] > 0.5
         same = np.where(dated, np.diff(gnss.utc) <= 0.0, same)
     repeat[1:] = same & gnss.fix[1:] & gnss.fix[:-1]
     return repeat

@@ -18,6 +18,9 @@ SLOW_FIXES = 1.3
 FROZEN = 3.0
 """Repeated fixes that last this long are named, s."""
 
+PARKED = 0.5
+"""m/s."""
+
 LATE = 0.8
 """A receiver later than this is named, s."""
 
@@ -51,6 +54,8 @@ class Repeats(NamedTuple):
     """Of the latest fix, s."""
     lost: float = 0.0
     """By repeats of at least `FROZEN` before `since`, s."""
+    dated: bool = False
+    """Whether the receiver's time has been seen to go on: one that never did accuses no parked vehicle."""
 
 
 def repeats_on(before: Repeats, gnss: Gnss, repeated: Flags | None = None) -> Repeats:
@@ -71,12 +76,14 @@ def repeats_on(before: Repeats, gnss: Gnss, repeated: Flags | None = None) -> Re
     """
     new = gnss.t > before.until
     t = gnss.t[new]
-    news = np.flatnonzero(~(stale(gnss) if repeated is None else repeated)[new])
+    again = (stale(gnss) if repeated is None else repeated)[new]
+    dated = before.dated or (gnss.utc is not None and bool((np.diff(gnss.utc) > 0.0).any()))
+    news = np.flatnonzero(~again if dated else ~again | (gnss.speed[new] <= PARKED))
     if not news.size:
-        return before._replace(until=float(t[-1])) if t.size else before
+        return before._replace(until=float(t[-1]), dated=dated) if t.size else before
     lost = before.lost + _lost(before.since, float(t[news[0] - 1]) if news[0] else before.until)
     runs = t[news[1:] - 1] - t[news[:-1]]
-    return Repeats(float(t[news[-1]]), float(t[-1]), lost + float(runs[runs >= FROZEN].sum()))
+    return Repeats(float(t[news[-1]]), float(t[-1]), lost + float(runs[runs >= FROZEN].sum()), dated)
 
 
 def frozen(told: Repeats) -> Reason | None:

@@ -242,6 +242,20 @@ def test_a_time_that_stands_still_accuses_no_parked_receiver():
     assert frozen(repeats_on(Repeats(), made)) is None
 
 
+def test_a_receiver_that_freezes_at_a_stand_is_named_online_and_left_out():
+    """The vehicle drives off, the fixes go on saying that it stands."""
+    drive, truth = _drive(seed=20, gnss_rate=1.0, frozen=((66.0, 100.0),))
+    assert np.abs(truth.v[(truth.t > 65.0) & (truth.t < 67.0)]).max() < 0.1
+    assert np.abs(truth.v[(truth.t > 90.0) & (truth.t < 100.0)]).min() > 5.0
+    state = begin()
+    for chunk in chunks_of(drive, 1.0):
+        state = advance(state, chunk)
+    found = assess(state)
+    assert [_seconds(each) for each in found.reasons if each.code == "gps_frozen"] == pytest.approx([34.0], abs=1.5)
+    assert found.status == "ready"
+    assert _error_deg(found, truth.R_va) < 4.0
+
+
 def _seconds(told: Reason) -> float:
     number = re.search(r"(\d+) s;", told.text)
     assert number is not None
