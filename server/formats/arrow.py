@@ -215,10 +215,10 @@ def _batch(data: memoryview, header: int, body: memoryview, expected: int) -> _B
 
 
 def _measure(batch: _Batch) -> int:
-    """Bytes that a batch's buffers unpack to."""
+    """Bytes that a batch's buffers unpack to; what is packed stays beside them and counts too."""
     if batch.codec is None:
         return len(batch.body)
-    return sum(_unpacked_size(batch, offset, length) for offset, length in batch.buffers)
+    return len(batch.body) + sum(_unpacked_size(batch, offset, length) for offset, length in batch.buffers)
 
 
 def _unpacked_size(batch: _Batch, offset: int, length: int) -> int:

@@ -364,6 +364,18 @@ def test_arrow_bombs_stop_before_they_unpack(compression):
     assert decode("application/vnd.apache.arrow.stream", body, max_decoded_bytes=20 * MEGABYTE).rows == rows
 
 
+@pytest.mark.parametrize("compression", ["zstd", "lz4"])
+def test_arrow_buffers_that_hardly_pack_count_beside_what_they_unpack_to(compression):
+    t = np.cumsum(np.random.default_rng(1).random(80_000))
+    plain, packed = (arrow(pa.table({"t": t}), compression=how) for how in (None, compression))
+    most = MEGABYTE
+    assert t.nbytes < len(plain) < most
+    assert decode("application/vnd.apache.arrow.stream", plain, max_decoded_bytes=most).rows == t.size
+    with pytest.raises(TooLargeError):
+        decode("application/vnd.apache.arrow.stream", packed, max_decoded_bytes=most)
+    assert decode("application/vnd.apache.arrow.stream", packed, max_decoded_bytes=2 * most).rows == t.size
+
+
 def test_arrow_buffers_are_measured_not_only_rows():
     """A batch that promises few rows but whose buffers unpack to much."""
     body = bytearray(arrow(pa.table({"t": np.zeros(2000)}), compression="zstd"))
