@@ -243,7 +243,8 @@ def _convert(
     if told is None and quantity in _UNITS:
         remarks.append(Remark(f"{quantity}_unit_detected", f"No unit in the header; the values look like {unit}"))
     for column in columns.values():
-        np.multiply(column, factor, out=column)  # in its place: a file may be large
+        with np.errstate(over="ignore"):  # infinite, and left out with a remark
+            np.multiply(column, factor, out=column)  # in its place: a file may be large
     taken |= columns
 
 
@@ -255,7 +256,8 @@ _TYPICAL = {
 
 def _guess(quantity: str, columns: list[Floats]) -> str:
     """The unit in which values of this size make sense."""
-    sizes = np.sqrt(np.sum(np.square(np.array(columns)), axis=0))
+    with np.errstate(over="ignore"):
+        sizes = np.sqrt(np.sum(np.square(np.array(columns)), axis=0))
     sizes = sizes[np.isfinite(sizes)]
     typical = float(np.median(sizes)) if sizes.size else 0.0
     if quantity == "time":

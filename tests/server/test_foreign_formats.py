@@ -296,6 +296,16 @@ def test_a_chunk_cannot_unpack_to_more_than_it_says(monkeypatch):
 # --- phone loggers
 
 
+@pytest.mark.parametrize("header", ["time (s),ax (g),ay (g),az (g)", "seconds_elapsed,x,y,z"])
+def test_a_number_beyond_all_numbers_is_left_out_with_a_remark(tmp_path, header):
+    rows = [f"{0.01 * i:.2f},{'1e308' if i == 5 else '0.1'},0.1,1.0" for i in range(200)]
+    path = tmp_path / "phone.csv"
+    path.write_text("\n".join([header, *rows, ""]), encoding="utf-8")
+    columns = read_drive_columns(path)
+    assert np.flatnonzero(np.isnan(columns.values["fx"])).tolist() == [5]
+    assert "vectors_incomplete" in codes(columns)
+
+
 def phone(
     drive: Columns, *, sign: float = 1.0, scale: float = 1.0, kmh: bool = True, units: bool = True, held: bool = False
 ) -> str:
