@@ -126,6 +126,10 @@ def jitter(t: Floats) -> Jitter:
     return Jitter(float(1.0 / middle), float(0.5 * (high - low)), float(steps.min()), float(steps.max()))
 
 
+STANDING = 0.5
+"""Up to this speed a vehicle may stand, and a receiver well repeat itself, m/s."""
+
+
 def stale(gnss: Gnss) -> Flags:
     """Fixes that only repeat the one before.
 
@@ -146,10 +150,10 @@ def stale(gnss: Gnss) -> Flags:
     same = np.ones(gnss.t.size - 1, dtype=np.bool_)
     for column in (gnss.lat, gnss.lon, gnss.speed, gnss.course):
         same &= (np.diff(column) == 0.0) | (np.isnan(column[1:]) & np.isnan(column[:-1]))
-    same &= gnss.speed[1:] > 0.5
+    same &= gnss.speed[1:] > STANDING
     if gnss.utc is not None:
         dated = np.isfinite(gnss.utc[1:]) & np.isfinite(gnss.utc[:-1])
-        fresh = dated & ~same & (gnss.speed[1:] > 0.5)
+        fresh = dated & ~same & (gnss.speed[1:] > STANDING)
         if np.count_nonzero(np.diff(gnss.utc)[fresh] <= 0.0) > 0.5 * np.count_nonzero(fresh):
             dated[:] = False  # whole seconds at several fixes a second, or a time that is not known yet
         same = np.where(dated, np.diff(gnss.utc) <= 0.0, same)

@@ -9,7 +9,7 @@ import numpy as np
 from nav_core.mounting.reasons import reason
 from nav_core.records import Gnss, Reason
 from nav_core.rotation import wrap
-from nav_core.timebase import stale
+from nav_core.timebase import STANDING, stale
 from nav_core.typing import Flags, Floats
 
 SLOW_FIXES = 1.3
@@ -17,9 +17,6 @@ SLOW_FIXES = 1.3
 
 FROZEN = 3.0
 """Repeated fixes that last this long are named, s."""
-
-PARKED = 0.5
-"""m/s."""
 
 LATE = 0.8
 """A receiver later than this is named, s."""
@@ -78,7 +75,7 @@ def repeats_on(before: Repeats, gnss: Gnss, repeated: Flags | None = None) -> Re
     t = gnss.t[new]
     again = (stale(gnss) if repeated is None else repeated)[new]
     dated = before.dated or (gnss.utc is not None and bool((np.diff(gnss.utc) > 0.0).any()))
-    news = np.flatnonzero(~again if dated else ~again | (gnss.speed[new] <= PARKED))
+    news = np.flatnonzero(~again if dated else ~again | (gnss.speed[new] <= STANDING))
     if not news.size:
         return before._replace(until=float(t[-1]), dated=dated) if t.size else before
     lost = before.lost + _lost(before.since, float(t[news[0] - 1]) if news[0] else before.until)

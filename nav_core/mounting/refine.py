@@ -123,7 +123,7 @@ class Fit:
         return solution, covariance
 
     def trips(self) -> list[slice]:
-        """The stretches of each trip, in order of time; a pause is told to a stretch, the shortest parts trips too."""
+        """The stretches of each trip, in order of time; pauses of `PAUSE`, or up to a stretch less, part them."""
         told = np.flatnonzero(self.count.any(axis=1))
         ends = np.flatnonzero(np.diff(told) >= PAUSE / BLOCK)
         begins = [0, *(told[ends + 1]).tolist()]

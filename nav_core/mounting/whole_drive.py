@@ -120,9 +120,10 @@ def analyse(ticks: Ticks, gnss: Gnss, *, noise: Noise | None = None) -> Analysis
         return Analysis(_without(refusal(reason("mirrored")), remarks=remarks), None, handed)
     if loosely_held(len(pieces) - 1, record) or _loose(pieces):
         return Analysis(_without(LOOSE, remarks=remarks), None)
-    changes = _changes(pieces, found_blows, noise)
+    known_of = [_known(piece.solution.fit, noise) for piece in pieces]
+    changes = _changes(pieces, [mounting for mounting, _ in known_of], found_blows)
     offered = excitation(last.record)
-    R_va, found = _known(last.solution.fit, noise)
+    R_va, found = known_of[-1]
     verdict = before_fit(last.record, offered) or after_fit(last.solution.start, found, offered)
     if verdict.status in ("insufficient", "not_fixed"):
         unlike_a_car = any(each.code == "mismatch" for each in verdict.reasons)
@@ -207,10 +208,7 @@ def _known(fit: Fit, noise: Noise) -> tuple[Floats, Confidence]:
     )
 
 
-def _changes(pieces: list[Piece], spoiled: tuple[Blow, ...], noise: Noise) -> tuple[MountingChange, ...]:
-    if len(pieces) == 1:
-        return ()
-    mountings = [_known(piece.solution.fit, noise)[0] for piece in pieces]
+def _changes(pieces: list[Piece], mountings: list[Floats], spoiled: tuple[Blow, ...]) -> tuple[MountingChange, ...]:
     return tuple(
         MountingChange(_turned_at(one.record, other.record, spoiled), angle_between(after, before), before, after)
         for (one, before), (other, after) in pairwise(zip(pieces, mountings, strict=True))
